@@ -11,17 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.point_groups import group_rows, members, sort_by_tile, tile_numbers
-from camber.map_server.road_selection import (
-    KNOWN,
-    UNDECIDED,
-    RoadArrays,
-    empty_roads,
-    select_roads,
-    topologies,
-)
-from camber.map_server.road_selection import LEVELS_AMBIGUOUS as AMBIGUOUS
-from camber.map_server.road_selection import NO_SURFACE as NO_SURFACE_HERE
+from camber.map_server import road_selection as codes
+from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
+from camber.map_server.road_selection import RoadArrays, empty_roads, select_roads, topologies
 from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
 from camber.map_server.topology import Topology, select_surface
@@ -44,6 +36,8 @@ Integers = NDArray[np.int64]
 _Points: TypeAlias = tuple[Floats, Floats, Integers, Integers]
 """Columns of latitude, longitude, candidate links and last surface."""
 
+_PLANES = ("surface_id", "elevation_m", "sigma_m", "slope_east", "slope_north")
+"""Columns that roads, a patch and places ahead have in common."""
 REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
 """Reasons by the numbers of `SelectedRoads.reason`."""
 NO_SURFACE = Road(status="unknown", reason="no_surface")
@@ -54,14 +48,14 @@ class _Links:
     """Links of one tile with their nodes and levels, and the links at each node."""
 
     def __init__(self, tile: LinkTile) -> None:
-        columns = (tile.link_id, tile.start_node, tile.end_node, tile.level)
-        rows = list(zip(*(column.tolist() for column in columns), strict=True))
-        self.level = {link: level for link, _, _, level in rows}
-        self.nodes = {link: (start, end) for link, start, end, _ in rows}
+        links = tile.link_id.tolist()
+        self.level = dict(zip(links, tile.level.tolist(), strict=True))
+        ends = zip(tile.start_node.tolist(), tile.end_node.tolist(), strict=True)
+        self.nodes = dict(zip(links, ends, strict=True))
         self.at_node: dict[int, set[int]] = {}
-        for link, start, end, _ in rows:
-            self.at_node.setdefault(start, set()).add(link)
-            self.at_node.setdefault(end, set()).add(link)
+        for link, nodes in self.nodes.items():
+            for node in nodes:
+                self.at_node.setdefault(node, set()).add(link)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +80,7 @@ class SelectedRoads:
     @property
     def ambiguous(self) -> NDArray[np.bool_]:
         """Points (n,) with surfaces of which none could be selected."""
-        ambiguous: NDArray[np.bool_] = self.reason == AMBIGUOUS
+        ambiguous: NDArray[np.bool_] = self.reason == codes.LEVELS_AMBIGUOUS
         return ambiguous
 
 
@@ -175,13 +169,9 @@ class ElevationMap:
             return road
         patch = RoadPatch(
             reach_m=radius_m * _LATTICE_STEP,
-            surface_id=roads.surface_id,
             east_m=east_m[roads.known],
             north_m=north_m[roads.known],
-            elevation_m=roads.elevation_m,
-            sigma_m=roads.sigma_m,
-            slope_east=roads.slope_east,
-            slope_north=roads.slope_north,
+            **{name: getattr(roads, name) for name in _PLANES},
         )
         if road.status != "known":
             road = self._nearest_plane(patch, roads)
@@ -220,13 +210,9 @@ class ElevationMap:
         roads = self.roads(points[0], points[1], link_ids, last_surface_id)
         return RoadsAhead(
             place=roads.known.astype(np.int32),
-            surface_id=roads.surface_id,
             level=roads.level.astype(np.int32),
-            elevation_m=roads.elevation_m,
-            sigma_m=roads.sigma_m,
-            slope_east=roads.slope_east,
-            slope_north=roads.slope_north,
             extent_m=roads.extent_m,
+            **{name: getattr(roads, name) for name in _PLANES},
         )
 
     def roads(
@@ -273,7 +259,10 @@ class ElevationMap:
             for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
                 index = self._index(tile)
                 if index is None:
-                    sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = NO_SURFACE_HERE, False
+                    sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = (
+                        codes.NO_SURFACE,
+                        False,
+                    )
                 else:
                     select_roads_by_links(
                         table=index.table,
@@ -286,10 +275,10 @@ class ElevationMap:
                         begin=first,
                     )
             restore_order(gone_to, sorted_roads, roads, begin)
-        undecided = np.flatnonzero(roads.reason == UNDECIDED)
+        undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
             self._by_topology(undecided, number, points, roads)
-        known = np.flatnonzero(roads.reason == KNOWN)
+        known = np.flatnonzero(roads.reason == codes.KNOWN)
         all_known = len(known) == len(number)
         columns = {
             name: column if all_known else column[known]
@@ -300,31 +289,31 @@ class ElevationMap:
 
     def _by_topology(self, rows: Integers, number: Integers, points: _Points, roads: RoadArrays) -> None:
         """Select undecided points by topology, determined once for each tile, last surface and set of links."""
-        _, _, links, last = points
+        latitude_rad, longitude_rad, links, last = points
         keys = np.column_stack((number[rows], last[rows], links[rows]))
         group, first = group_rows(keys)
-        tiles, tile_of_group = np.unique(keys[first, 0], return_inverse=True)
-        there, start = members(tile_of_group[group], len(tiles))
-        place = np.zeros(len(first), np.int64)
-        for t, tile in enumerate(tiles.tolist()):
-            here = there[start[t] : start[t + 1]]
-            groups = np.flatnonzero(tile_of_group == t)
-            known = []
-            for _, surface, *of_group in keys[first[groups]].tolist():
-                candidates = frozenset(link for link in of_group if link >= 0)
-                known.append(
-                    self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface)
+        known = topologies(
+            [
+                self._topology(
+                    divmod(tile, TILES),
+                    frozenset(link for link in of_group if link >= 0),
+                    None if surface < 0 else surface,
                 )
-            place[groups] = np.arange(len(groups))
+                for tile, surface, *of_group in keys[first].tolist()
+            ]
+        )
+        by_tile = np.argsort(keys[:, 0], kind="stable")
+        tiles, start = np.unique(keys[by_tile, 0], return_index=True)
+        for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
             index = self._index(tile)
             assert index is not None, "a tile without surfaces is decided"
             select_roads(
                 table=index.table,
-                points=rows[here],
-                latitude_rad=points[0],
-                longitude_rad=points[1],
-                topology=place[group[here]],
-                known=topologies(known),
+                points=rows[members],
+                latitude_rad=latitude_rad,
+                longitude_rad=longitude_rad,
+                topology=group[members],
+                known=known,
                 roads=roads,
             )
 
@@ -347,12 +336,11 @@ class ElevationMap:
         """Return the links connected to a surface, and its level; nothing unless it is in the tile or a neighbour."""
         for around in _neighbours(tile):
             index = self._surfaces(around)
-            row = None if index is None else index.row_of(surface_id)
-            if index is not None and row is not None:
-                break
-        else:
-            return frozenset(), frozenset()
-        return self._connected(tile, int(index.link_id[row])), frozenset({int(index.level[row])})
+            link_and_level = None if index is None else index.link_and_level(surface_id)
+            if link_and_level is not None:
+                link, level = link_and_level
+                return self._connected(tile, link), frozenset({level})
+        return frozenset(), frozenset()
 
     def _find_connected(self, tile: Tile, link: int) -> frozenset[int]:
         """Return a link and those near the tile that share a node with it."""
@@ -372,9 +360,7 @@ def _neighbours(tile: Tile) -> tuple[Tile, ...]:
     return tuple(((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES)
 
 
-def _columns(
-    latitude_rad: ArrayLike, longitude_rad: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _columns(latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> tuple[Floats, Floats]:
     latitude = np.ascontiguousarray(latitude_rad, np.float64)
     longitude = np.ascontiguousarray(longitude_rad, np.float64)
     if latitude.ndim != 1 or latitude.shape != longitude.shape:

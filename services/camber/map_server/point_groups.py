@@ -126,21 +126,6 @@ def _slot(row: Integers, in_slot: NDArray[np.int32], met: Integers) -> np.int64:
 
 
 @compiled
-def members(group: Integers, groups: int) -> tuple[Integers, Integers]:
-    """Return rows (n,) and start (groups + 1,): rows of group g, ascending, are `rows[start[g] : start[g + 1]]`."""
-    start = np.zeros(groups + 1, np.int64)
-    for i in range(len(group)):
-        start[group[i] + 1] += 1
-    for g in range(groups):
-        start[g + 1] += start[g]
-    rows, free = np.empty(len(group), np.int64), start.copy()
-    for i in range(len(group)):
-        rows[free[group[i]]] = i
-        free[group[i]] += 1
-    return rows, start
-
-
-@compiled
 def _equal(a: Integers, b: Integers) -> bool:
     for k in range(len(a)):  # noqa: SIM110 (all() over a generator is not compiled)
         if a[k] != b[k]:

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-from numpy.typing import NDArray
 
 from camber.road_map.blob_delta import decompress_blob
-from camber.road_map.release import Release, ReleaseError, decode_tile
+from camber.road_map.release import Release, ReleaseError, ReleaseTile, decode_tile
 from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissingError, ReleaseFolder
 from camber.road_map.release_server import ReleaseServer
 from camber.road_map.store import MapStore, StoredRelease
@@ -25,14 +23,11 @@ from camber.road_map.tile_grid import TILES, Tile, tile_of, tiles_around
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
-from camber.schemas.road import LAYERS, Layer, Manifest, ReleaseRoot
-
-Integers = NDArray[np.int64]
+from camber.schemas.road import ReleaseRoot
 
 _MORE = 32  # chosen: blobs requested along with another; as many as fit into 256 kB are returned
-_KEPT_FACTOR = (
-    2.0  # chosen: tiles are deleted beyond this multiple of the download radius, so that none alternates
-)
+_KEPT_FACTOR = 2.0
+"""Chosen: tiles are deleted beyond this multiple of the download radius, so that none alternates."""
 
 _BlobName = tuple[str, str | None]
 """SHA-256 of a blob and of the blob that it is compressed against, None for none."""
@@ -57,24 +52,6 @@ class ReleaseSupplier(Protocol):
 
     def blob(self, request: MapBlobRequest) -> MapBlobReply:
         """Return a part of a compressed blob."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FetchRequest:
-    """What to download. `around_m`: radius around the vehicle; None: the whole map."""
-
-    region: str | None
-    public_key: Ed25519PublicKey | None
-    around_m: float | None
-    acceptable: Callable[[Release], None] = lambda release: None
-    """Raises ReleaseError for a release that must not be used here."""
-
-
-@dataclass
-class VehiclePosition:
-    """Position of the vehicle from its elevation requests; None before the first."""
-
-    point_rad: tuple[float, float] | None = None
 
 
 class FolderSupplier:
@@ -108,41 +85,50 @@ class FolderSupplier:
 
 
 class ReleaseDownload:
-    """Stepwise download into a store. `in_use` is the version that a reader of the store has open."""
+    """Stepwise download into a store.
+
+    `around_m`: radius around the vehicle of what is downloaded; None: the whole map. `acceptable` raises ReleaseError
+    for a release that must not be used here.
+    """
 
     def __init__(
-        self, store: MapStore, request: FetchRequest, position: VehiclePosition, *, now_ns: Callable[[], int]
+        self,
+        store: MapStore,
+        *,
+        region: str | None,
+        public_key: Ed25519PublicKey | None,
+        around_m: float | None,
+        now_ns: Callable[[], int],
+        acceptable: Callable[[Release], None] = lambda release: None,
     ) -> None:
-        self.fetched_bytes = 0
-        self.fetched_blobs = 0
+        self.store = store
+        self.position_rad: tuple[float, float] | None = None
+        """Latitude and longitude of the vehicle, from its elevation requests; None before the first."""
         self.in_use: int | None = None
-        self._store = store
-        self._request = request
-        self._position = position
-        self._now_ns = now_ns
-        self._ahead: dict[tuple[str, str | None], bytes] = {}
+        """Version that a reader of the store has open."""
+        self.fetched_bytes = self.fetched_blobs = 0
+        self._region, self._public_key, self._around_m = region, public_key, around_m
+        self._now_ns, self._acceptable = now_ns, acceptable
+        self._ahead: dict[_BlobName, bytes] = {}
 
     def ask(self, supplier: ReleaseSupplier) -> bool:
         """Request the newest root; True if its release is new.
 
         Raises SupplierUnavailableError, and ReleaseError for a root that is refused.
         """
-        newest = self._store.coming() or self._store.current()
-        region = self._request.region or (supplier.region() if newest is None else newest.region)
+        newest = self.store.coming() or self.store.current()
+        region = self._region or (supplier.region() if newest is None else newest.region)
         if region is None:
             raise ReleaseError(supplier.name, "region", "a setting, where there is no map yet")
-        have = (
-            None if newest is None or newest.map_version != self._store.highest() else newest.manifest_sha256
-        )
+        is_newest = newest is not None and newest.map_version == self.store.highest()
+        have = newest.manifest_sha256 if newest is not None and is_newest else None
         reply = supplier.root(MapRootRequest(time_ns=self._now_ns(), region=region, have_sha256=have))
         if reply.status != "known":
             return False
         data = reply.payload.tobytes()
         if supplier.may_be_old and self._is_old(data):
             return False
-        return self._store.accept(
-            data, file=supplier.name, region=region, public_key=self._request.public_key
-        )
+        return self.store.accept(data, file=supplier.name, region=region, public_key=self._public_key)
 
     def fetch(self, supplier: ReleaseSupplier) -> Iterator[None]:
         """Download what is missing, a step for each blob, then activate the new release.
@@ -150,76 +136,66 @@ class ReleaseDownload:
         Raises SupplierUnavailableError, StoreFullError, and ReleaseError for what is refused; the active release
         remains. The iteration may be abandoned at any step.
         """
-        coming = self._store.coming()
-        for kept in (coming, self._store.current()) if coming is not None else (self._store.current(),):
+        coming = self.store.coming()
+        for kept in (coming, self.store.current()) if coming is not None else (self.store.current(),):
             if kept is None:
                 return
             yield from self._manifest(kept, supplier)
-            release = self._store.open(kept.map_version)
-            self._request.acceptable(release)
+            release = self.store.open(kept.map_version)
+            self._acceptable(release)
             yield from self._tiles(release, supplier)
             if kept == coming:
-                self._store.put_in_force(kept.map_version)
+                self.store.put_in_force(kept.map_version)
                 yield
             coming = None
-        self._store.collect(() if self.in_use is None else (self.in_use,), self._kept_tiles())
+        self.store.collect(() if self.in_use is None else (self.in_use,), self._kept_tiles())
 
     def drop_damaged(self) -> None:
         """Delete the damaged blobs of the active release, so that they are downloaded again."""
-        kept, current = self._store.current(), self._current()
+        kept, current = self.store.current(), self._current()
         digests = set() if current is None else set(current.hashes())
         for digest in digests | ({kept.manifest_sha256} if kept is not None else set()):
             try:
-                self._store.blob(digest, None)
+                self.store.blob(digest, None)
             except BlobMissingError:
                 pass
             except ReleaseError:
-                self._store.drop(digest)
+                self.store.drop(digest)
 
     def _is_old(self, root: bytes) -> bool:
         try:
             version = decode(ReleaseRoot, root).message.map_version
         except DecodeError:
             return False
-        return version < (self._store.highest() or 0)
-
-    def lacks(self) -> bool:
-        """Whether a requested blob is missing."""
-        if self._store.coming() is not None:
-            return True
-        current = self._current()
-        return current is not None and bool(self._store.missing(self._wanted(current)))
+        return version < (self.store.highest() or 0)
 
     def _manifest(self, kept: StoredRelease, supplier: ReleaseSupplier) -> Iterator[None]:
-        if self._store.missing([kept.manifest_sha256]):
-            current = self._store.current()
+        if self.store.missing([kept.manifest_sha256]):
+            current = self.store.current()
             base = None if current is None else current.manifest_sha256
-            self._store.put(kept.manifest_sha256, self._blob(supplier, (kept.manifest_sha256, base)))
+            self.store.put(kept.manifest_sha256, self._blob(supplier, (kept.manifest_sha256, base)))
             yield
 
     def _tiles(self, release: Release, supplier: ReleaseSupplier) -> Iterator[None]:
         """Download tiles until none is missing; the selection changes while the vehicle drives."""
-        manifest, before = release.manifest, self._current()
-        rows = {manifest.sha256[row].tobytes().hex(): row for row in range(len(manifest.layer))}
-        while missing := self._store.missing(self._wanted(release)):
+        before, tiles = self._current(), release.tiles_by_hash()
+        while missing := self.store.missing(self._wanted(release)):
             begun_at = self.tile()
-            names = [_name(manifest, rows[digest]) for digest in missing]
-            bases = [None if before is None else before.sha256(*name) for name in names]
+            bases = [None if before is None else before.sha256(*tiles[digest][:3]) for digest in missing]
             wanted = list(zip(missing, bases, strict=True))
-            for n, (blob, (layer, x, y)) in enumerate(zip(wanted, names, strict=True)):
-                digest, more = blob[0], wanted[n + 1 : n + 1 + _MORE]
-                size = int(manifest.size_bytes[rows[digest]])
+            for n, blob in enumerate(wanted):
+                digest, (layer, x, y, size) = blob[0], tiles[blob[0]]
+                more = wanted[n + 1 : n + 1 + _MORE]
                 data = self._blob(supplier, blob, limit=min(size, MAX_BLOB_BYTES), more=more)
                 decode_tile(layer, data, file=f"{supplier.name}: blob {digest}", tile=(x, y))
-                self._store.put(digest, data)
+                self.store.put(digest, data)
                 yield
                 if self.tile() != begun_at:  # other tiles are nearer now
                     break
 
     def tile(self) -> Tile | None:
         """Return the tile of the vehicle, None if unknown."""
-        point = self._position.point_rad
-        return None if point is None else tile_of(*point)
+        return None if self.position_rad is None else tile_of(*self.position_rad)
 
     def _blob(
         self,
@@ -244,19 +220,19 @@ class ReleaseDownload:
             try:
                 blob = decompress_blob(data, base, limit=limit)
             except ReleaseError as error:
-                self._store.drop(digest)
+                self.store.drop(digest)
                 refusal = error
             else:
                 if hashlib.sha256(blob).hexdigest() == digest:
                     self.fetched_blobs += 1
                     return blob
-                self._store.drop(digest)
+                self.store.drop(digest)
                 refusal = ReleaseError(supplier.name, "SHA-256 of the bytes", f"blob {digest}")
         raise refusal
 
     def _base(self, digest: str | None) -> bytes | None:
         try:
-            return None if digest is None else self._store.blob(digest, None)
+            return None if digest is None else self.store.blob(digest, None)
         except ReleaseError:
             return None
 
@@ -264,12 +240,12 @@ class ReleaseDownload:
         self, supplier: ReleaseSupplier, blob_name: _BlobName, *, limit: int, more: Sequence[_BlobName]
     ) -> bytes:
         digest, base = blob_name
-        parts, count = self._store.parts(digest, base), None
+        parts, count = self.store.parts(digest, base), None
         if not parts:
-            self._store.drop(digest)  # parts against another base
+            self.store.drop(digest)  # parts against another base
         most = -(-(limit + limit // 100 + 1024) // PART_BYTES) + 1  # compression never adds more
         while count is None or len(parts) < count:
-            lacking = set(self._store.missing([of for _, of in more if of is not None]))
+            lacking = set(self.store.missing([of for _, of in more if of is not None]))
             request = MapBlobRequest(
                 time_ns=self._now_ns(),
                 sha256=digest,
@@ -290,7 +266,7 @@ class ReleaseDownload:
             self.fetched_bytes += len(parts[-1])
             self._keep_ahead(supplier, request, reply)
             if count > 1 and len(parts) < count:
-                self._store.put_part(digest, base, len(parts) - 1, parts[-1])
+                self.store.put_part(digest, base, len(parts) - 1, parts[-1])
         return b"".join(parts)
 
     def _keep_ahead(self, supplier: ReleaseSupplier, request: MapBlobRequest, reply: MapBlobReply) -> None:
@@ -307,65 +283,45 @@ class ReleaseDownload:
         self.fetched_bytes += len(data)
 
     def _current(self) -> Release | None:
-        kept = self._store.current()
+        kept = self.store.current()
         try:
-            return None if kept is None else self._store.open(kept.map_version)
+            return None if kept is None else self.store.open(kept.map_version)
         except ReleaseError:
             return None
 
     def _wanted(self, release: Release) -> list[str]:
         """Return the hashes of the required tiles, nearest first."""
-        manifest, around_m = release.manifest, self._request.around_m
-        point = self._position.point_rad
-        x, y = manifest.tile_x.astype(np.int64), manifest.tile_y.astype(np.int64)
-        if around_m is None:
-            chosen = np.ones(len(x), bool)
-        else:
-            near = set() if point is None else set(tiles_around(*point, around_m))
-            chosen = _among(x, y, near | self._downloaded_tiles(release))
-        rows = np.flatnonzero(chosen)
-        if point is not None:
-            rows = rows[np.argsort(_steps_from(point, x[rows], y[rows]), kind="stable")]
-        return [manifest.sha256[row].tobytes().hex() for row in rows.tolist()]
+        wanted = release.tiles_by_hash()
+        if self._around_m is not None:
+            near = self._tiles_within(self._around_m) | self._downloaded_tiles(release)
+            wanted = {digest: tile for digest, tile in wanted.items() if (tile.x, tile.y) in near}
+        here = self.tile()
+        if here is None:
+            return list(wanted)
+        return sorted(wanted, key=lambda digest: _steps(here, wanted[digest]))
+
+    def _tiles_within(self, radius_m: float) -> set[Tile]:
+        return set() if self.position_rad is None else set(tiles_around(*self.position_rad, radius_m))
 
     def _downloaded_tiles(self, release: Release) -> set[Tile]:
         """Return the tiles downloaded of the active release: a newer one must have them too."""
         current = self._current()
         if current is None or current.root == release.root:
             return set()
-        manifest = current.manifest
-        digests = [row.tobytes().hex() for row in manifest.sha256]
-        missing = set(self._store.missing(digests))
-        places = zip(digests, manifest.tile_x.tolist(), manifest.tile_y.tolist(), strict=True)
-        return {(x, y) for digest, x, y in places if digest not in missing}
+        tiles = current.tiles_by_hash()
+        missing = set(self.store.missing(tiles))
+        return {(tile.x, tile.y) for digest, tile in tiles.items() if digest not in missing}
 
     def _kept_tiles(self) -> Callable[[Release], set[str]] | None:
-        around_m, point = self._request.around_m, self._position.point_rad
-        if around_m is None or point is None:
+        if self._around_m is None or self.position_rad is None:
             return None
-        near = set(tiles_around(*point, _KEPT_FACTOR * around_m))
-
-        def keep(release: Release) -> set[str]:
-            manifest = release.manifest
-            chosen = _among(manifest.tile_x.astype(np.int64), manifest.tile_y.astype(np.int64), near)
-            return {manifest.sha256[row].tobytes().hex() for row in np.flatnonzero(chosen).tolist()}
-
-        return keep
+        near = self._tiles_within(_KEPT_FACTOR * self._around_m)
+        return lambda release: {
+            digest for digest, tile in release.tiles_by_hash().items() if (tile.x, tile.y) in near
+        }
 
 
-def _name(manifest: Manifest, row: int) -> tuple[Layer, int, int]:
-    return LAYERS[manifest.layer[row]], int(manifest.tile_x[row]), int(manifest.tile_y[row])
-
-
-def _among(x: Integers, y: Integers, tiles: set[Tile]) -> NDArray[np.bool_]:
-    return np.isin(x * TILES + y, np.array([a * TILES + b for a, b in tiles], np.int64))
-
-
-def _steps_from(point: tuple[float, float], x: Integers, y: Integers) -> Integers:
+def _steps(here: Tile, tile: ReleaseTile) -> int:
     """Return the distance in tiles, in the shorter direction around the earth."""
-    here = tile_of(*point)
-    if here is None:
-        return np.zeros(len(x), np.int64)
-    east = np.abs(x - here[0])
-    steps: Integers = np.maximum(np.minimum(east, TILES - east), np.abs(y - here[1]))
-    return steps
+    east = abs(tile.x - here[0])
+    return max(min(east, TILES - east), abs(tile.y - here[1]))

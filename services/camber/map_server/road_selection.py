@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
-from camber.map_server.tile_index import CELL_M, EDGE_M, TOLERANCE_M, SurfaceTable
+from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.map_server.topology import TIE_M, Topology
 from camber.road_map.surface_heights import grid_plane
 
@@ -161,23 +161,6 @@ def _hits(
         row[hits], at[hits, 0], at[hits, 1], inside[hits] = k, u, v, within
         hits += 1
     return hits
-
-
-@compiled
-def on_surface(
-    offset_m: tuple[float, float], direction: tuple[float, float], half_size: tuple[float, float]
-) -> tuple[float, float, bool, bool]:
-    """Return u and v of a point on a surface, whether it is within the tolerance, and whether inside.
-
-    `offset_m`: east and north from the surface's centre; `direction`: cosine and sine of its yaw.
-    """
-    (east_m, north_m), (cos, sin), (half_length, half_width) = offset_m, direction, half_size
-    u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
-    beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
-    near = (beyond_u <= TOLERANCE_M) & (beyond_v <= TOLERANCE_M)
-    if beyond_u > 0.0 and beyond_v > 0.0:
-        near &= math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
-    return u, v, near, (beyond_u <= EDGE_M) & (beyond_v <= EDGE_M)
 
 
 @compiled

@@ -20,9 +20,8 @@ from camber.map_server.road_selection import (
     NO_SURFACE,
     UNDECIDED,
     RoadArrays,
-    on_surface,
 )
-from camber.map_server.tile_index import CELL_M, SurfaceTable
+from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.map_server.topology import TIE_M
 from camber.road_map.surface_heights import grid_plane
 

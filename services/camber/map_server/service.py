@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -10,9 +10,9 @@ from typing import Any, ClassVar, TypeVar
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_server.download_thread import DownloadIntervals, DownloadThread
+from camber.map_server.download_thread import DownloadThread
 from camber.map_server.links import unknown_links
-from camber.map_server.release_download import FetchRequest, FolderSupplier, SupplierUnavailableError
+from camber.map_server.release_download import FolderSupplier, ReleaseDownload, SupplierUnavailableError
 from camber.map_server.release_queries import ReleaseQueries
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.tile_parts import unknown_tile
@@ -35,7 +35,7 @@ from camber.schemas.road import (
     TileRequest,
 )
 
-MessageT = TypeVar("MessageT", bound=Message)
+ReplyT = TypeVar("ReplyT", bound=Message)
 
 
 class _DatumMismatchError(ReleaseError):
@@ -61,16 +61,17 @@ class MapServerService(Service[MapServerSettings]):
         source = self._store or settings.release or settings.store
         assert source is not None, "the settings have seen to it"
         self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_datum)
-        self._answers: ReleaseQueries | None = None
+        self._queries: ReleaseQueries | None = None
         self._unreadable = False
-        self._counts = (0, 0)
-        self._download: DownloadThread | None = None
+        self._counted: Counter[str] = Counter()
+        self._download: ReleaseDownload | None = None
+        self._thread: DownloadThread | None = None
         self._looked_ns = self._tried_ns = bus.now_ns()
         self._look()
         self._verify(float("inf"))
         # A replay downloads nothing.
         if self._store is not None and settings.clock == "system":
-            self._download = self._start_download(key)
+            self._start_download(self._store.path, key)
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
         """Return the handlers of the three queries."""
@@ -87,49 +88,34 @@ class MapServerService(Service[MapServerSettings]):
     def elevation(self, request: ElevationRequest) -> ElevationReply:
         """Answer the road under a point."""
         if self._download is not None:
-            self._download.near(request.latitude_rad, request.longitude_rad)
-        now_ns = self.bus.now_ns()
-        answers, reply = self._queries_now(now_ns), None
-        if answers is not None:
-            try:
-                reply = answers.elevation(request, time_ns=now_ns)
-            except ReleaseError as error:
-                self._report_unreadable(error)
-        if reply is None:
-            reason = self._why_unknown(now_ns) or "map_missing"
-            reply = ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason))
-        road = reply.road
-        self.bus.count(f"elevation.{road.status if road.status == 'known' else road.reason}")
+            self._download.position_rad = request.latitude_rad, request.longitude_rad
+        reply = self._answered(
+            lambda queries, now_ns: queries.elevation(request, time_ns=now_ns),
+            lambda reason, now_ns: ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason)),
+        )
+        self.bus.count(f"elevation.{'known' if reply.road.status == 'known' else reply.road.reason}")
         return reply
 
     def links(self, request: LinksRequest) -> LinksReply:
         """Answer the links around a point."""
-        now_ns = self.bus.now_ns()
-        answers = self._queries_now(now_ns)
-        if answers is not None:
-            try:
-                return answers.links(request, time_ns=now_ns)
-            except ReleaseError as error:
-                self._report_unreadable(error)
         release = self._watch.current
         version = 0 if release is None else release.manifest.map_version
-        return unknown_links(self._why_unknown(now_ns) or "map_missing", map_version=version, time_ns=now_ns)
+        return self._answered(
+            lambda queries, now_ns: queries.links(request, time_ns=now_ns),
+            lambda reason, now_ns: unknown_links(reason, map_version=version, time_ns=now_ns),
+        )
 
     def tile(self, request: TileRequest) -> TileReply:
         """Answer a part of a tile's blob."""
-        now_ns = self.bus.now_ns()
-        answers = self._queries_now(now_ns)
-        if answers is not None:
-            try:
-                return answers.tile(request, time_ns=now_ns)
-            except ReleaseError as error:
-                self._report_unreadable(error)
-        return unknown_tile(self._why_unknown(now_ns) or "map_missing", time_ns=now_ns)
+        return self._answered(
+            lambda queries, now_ns: queries.tile(request, time_ns=now_ns),
+            lambda reason, now_ns: unknown_tile(reason, time_ns=now_ns),
+        )
 
     def on_release(self, head: ReleaseHead) -> None:
         """Handle the notice of a new release: download it, or report an issue without a store."""
-        if self._download is not None:
-            self._download.notice()
+        if self._thread is not None:
+            self._thread.notice()
             return
         release = self._watch.current
         here = None if release is None or release.root.region != head.region else release.root.map_version
@@ -146,7 +132,7 @@ class MapServerService(Service[MapServerSettings]):
             if self._watch.problem is not None:
                 self._watch.forget()
         self._report_download()
-        changed = self._download is not None and self._download.take_change()
+        changed = self._thread is not None and self._thread.take_change()
         if changed or _due(now_ns, self._looked_ns, self.settings.look_every_s):
             self._looked_ns = now_ns
             self._look()
@@ -159,7 +145,7 @@ class MapServerService(Service[MapServerSettings]):
         """Whether a map is in use, is the one on disk, is readable, and can be updated."""
         usable = self._why_unknown(self.bus.now_ns()) is None
         no_store = self.settings.store is not None and self._store is None
-        troubled = no_store or (self._download is not None and self._download.troubled())
+        troubled = no_store or (self._thread is not None and self._thread.troubled)
         return usable and self._watch.problem is None and not self._unreadable and not troubled
 
     def facts(self) -> dict[str, str]:
@@ -172,8 +158,8 @@ class MapServerService(Service[MapServerSettings]):
 
     def close(self) -> None:
         """Stop the download."""
-        if self._download is not None:
-            self._download.close()
+        if self._thread is not None:
+            self._thread.close()
         if self._store is not None:
             self._store.close()
 
@@ -187,43 +173,61 @@ class MapServerService(Service[MapServerSettings]):
             self.bus.issue("store_damaged", store.notice)
         return store
 
-    def _start_download(self, key: Ed25519PublicKey | None) -> DownloadThread:
+    def _start_download(self, path: Path, key: Ed25519PublicKey | None) -> None:
+        """Start the thread, with a connection of its own to the store."""
         settings, bus = self.settings, self.bus
-        path = settings.store
-        assert path is not None
-        around_m = None if settings.around_km is None else 1000.0 * settings.around_km
-        download = DownloadThread(
-            lambda: MapStore(path, limit_bytes=settings.store_limit_bytes),
-            FetchRequest(
-                region=settings.region, public_key=key, around_m=around_m, acceptable=self._check_datum
-            ),
+        store = self._open_store(path)
+        if store is None:
+            return
+        self._download = ReleaseDownload(
+            store,
+            region=settings.region,
+            public_key=key,
+            around_m=None if settings.around_km is None else 1000.0 * settings.around_km,
+            now_ns=bus.now_ns,
+            acceptable=self._check_datum,
+        )
+        if self._watch.current is not None:
+            self._download.in_use = self._watch.current.manifest.map_version
+        self._thread = DownloadThread(
+            self._download,
             cloud=_Cloud(bus, trusted=key is not None or settings.unsigned),
             folder=None if settings.release is None else FolderSupplier(settings.release),
-            times=DownloadIntervals(
-                ask_every_s=settings.ask_every_s,
-                spread_s=settings.ask_spread_s,
-                retry_every_s=settings.retry_every_s,
-            ),
-            now_ns=bus.now_ns,
-            monotonic_s=time.monotonic,
+            ask_every_s=settings.ask_every_s,
+            spread_s=settings.ask_spread_s,
+            retry_every_s=settings.retry_every_s,
             wake=bus.wake,
         )
-        download.start(None if self._watch.current is None else self._watch.current.manifest.map_version)
-        return download
+        self._thread.start()
 
     def _report_download(self) -> None:
-        if self._download is None:
+        if self._download is None or self._thread is None:
             return
-        for code, text in self._download.take_problems():
+        for code, text in self._thread.take_problems():
             self.bus.issue(code, text)
-        before, self._counts = self._counts, self._download.counts()
-        for name, previous, now in zip(("fetched_bytes", "fetched_blobs"), before, self._counts, strict=True):
-            if now > previous:
-                self.bus.count(f"release.{name}", now - previous)
+        for name in ("fetched_bytes", "fetched_blobs"):
+            before, now = self._counted[name], getattr(self._download, name)
+            if now > before:
+                self.bus.count(f"release.{name}", now - before)
+            self._counted[name] = now
 
-    def _queries_now(self, now_ns: int) -> ReleaseQueries | None:
-        """Return the queries of the release in use; None if nothing can be answered now."""
-        return self._answers if self._why_unknown(now_ns) is None else None
+    def _answered(
+        self, answer: Callable[[ReleaseQueries, int], ReplyT], unknown: Callable[[RoadReason, int], ReplyT]
+    ) -> ReplyT:
+        """Return the answer of the release in use, or `unknown` with the reason why there is none now."""
+        now_ns = self.bus.now_ns()
+        reason = self._why_unknown(now_ns)
+        if reason is None and self._queries is not None:
+            try:
+                return answer(self._queries, now_ns)
+            except BlobMissingError:  # not downloaded, or not yet
+                self.bus.count("tile.not_fetched")
+            except ReleaseError as error:
+                self._unreadable = True
+                if self._thread is not None:
+                    self._thread.repair()
+                self.bus.issue("tile_unreadable", str(error))
+        return unknown(reason or "map_missing", now_ns)
 
     def _why_unknown(self, now_ns: int) -> RoadReason | None:
         """Return why nothing can be answered now; None if the map is usable."""
@@ -248,10 +252,10 @@ class MapServerService(Service[MapServerSettings]):
 
     def _use(self, release: Release) -> None:
         manifest = release.manifest
-        self._answers = ReleaseQueries(release, tiles_kept=self.settings.tiles_kept)
+        self._queries = ReleaseQueries(release, tiles_kept=self.settings.tiles_kept)
         self._unreadable = False
         if self._download is not None:
-            self._download.uses(manifest.map_version)
+            self._download.in_use = manifest.map_version
         self.bus.count("release.loaded")
         if manifest.surrogate:
             self.bus.issue("surrogate_map", manifest.surrogate)
@@ -266,15 +270,6 @@ class MapServerService(Service[MapServerSettings]):
         if problem is not None and str(problem) != str(before):
             code = "datum_mismatch" if isinstance(problem, _DatumMismatchError) else "release_refused"
             self.bus.issue(code, str(problem))
-
-    def _report_unreadable(self, error: ReleaseError) -> None:
-        if isinstance(error, BlobMissingError):  # not downloaded, or not yet
-            self.bus.count("tile.not_fetched")
-            return
-        self._unreadable = True
-        if self._download is not None:
-            self._download.repair()
-        self.bus.issue("tile_unreadable", str(error))
 
 
 class _Cloud:
@@ -296,7 +291,7 @@ class _Cloud:
     def blob(self, request: MapBlobRequest) -> MapBlobReply:
         return self._ask("map_blob", request, MapBlobReply)
 
-    def _ask(self, name: str, request: Message, reply: type[MessageT]) -> MessageT:
+    def _ask(self, name: str, request: Message, reply: type[ReplyT]) -> ReplyT:
         if not self._trusted:
             raise ReleaseError(self.name, "public_key", "a key for releases from the bus", actual="none")
         try:

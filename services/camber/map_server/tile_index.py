@@ -7,13 +7,15 @@ Its grid is interpolated bilinearly, and extrapolated with the slope at its edge
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.compiled.decorator import compiled
+from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.tangent_planes import plane_origins, plane_series
+from camber.road_map.surface_heights import grid_plane
 from camber.road_map.tile_checks import surface_slopes
 from camber.road_map.tile_grid import MARGIN_M, tile_corners_rad, tile_frame
 from camber.schemas.road import SurfaceTile
@@ -73,148 +75,127 @@ class TileIndex:
 
     def __init__(self, tile: SurfaceTile) -> None:
         order = np.argsort(tile.surface_id, kind="stable")
-        self.frame = tile_frame(tile.x, tile.y)
-        self.surface_id = tile.surface_id[order]
-        self.link_id = tile.link_id[order]
-        self.level = tile.level[order].astype(np.int64)
-        self.sigma_m = tile.sigma_m[order].astype(np.float64)
-        half_length_m = tile.half_length_m[order].astype(np.float64)
-        half_width_m = tile.half_width_m[order].astype(np.float64)
+        names = np.column_stack((tile.surface_id, tile.link_id, tile.level)).astype(np.int64)[order]
+        length_m, width_m, sigma_m = (
+            column[order].astype(np.float64)
+            for column in (tile.half_length_m, tile.half_width_m, tile.sigma_m)
+        )
         # Within the surface the tangent plane departs by at most the distance times the spread of slopes.
         spread = surface_slopes(tile)[1][order]
-        reach_m = np.maximum(self.sigma_m, _LEAST_SIGMA_M) / np.maximum(spread, 1e-9)
-        self.extent_m = np.minimum(reach_m, np.hypot(half_length_m, half_width_m))
-        cos, sin = np.cos(tile.yaw_rad[order]), np.sin(tile.yaw_rad[order])
-        self._heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
-        self._shape = np.column_stack(
-            (
-                tile.centre_east_m[order],
-                tile.centre_north_m[order],
-                cos,
-                sin,
-                half_length_m,
-                half_width_m,
-                self.sigma_m,
-                self.extent_m,
-            )
+        reach_m = np.maximum(sigma_m, _LEAST_SIGMA_M) / np.maximum(spread, 1e-9)
+        extent_m = np.minimum(reach_m, np.hypot(length_m, width_m))
+        east_m, north_m, yaw_rad = tile.centre_east_m[order], tile.centre_north_m[order], tile.yaw_rad[order]
+        shape = np.column_stack(
+            (east_m, north_m, np.cos(yaw_rad), np.sin(yaw_rad), length_m, width_m, sigma_m, extent_m)
         )
-        self._grid = np.column_stack((tile.first_height, tile.rows, tile.columns)).astype(np.int64)[order]
-        self._row_of = {int(surface): row for row, surface in enumerate(self.surface_id.tolist())}
-        self._make_cells(tile.x, tile.y)
+        grid = np.column_stack((tile.first_height, tile.rows, tile.columns)).astype(np.int64)[order]
+        self.frame = tile_frame(tile.x, tile.y)
         self.table = SurfaceTable(
             origin=plane_origins([self.frame.latitude_rad], [self.frame.longitude_rad])[0],
             series=plane_series(self.frame.latitude_rad, self.frame.longitude_rad),
-            west_m=self._west_m,
-            south_m=self._south_m,
-            columns=self._columns,
-            lines=self._lines,
-            most_in_cell=int(np.diff(self._cell_start).max(initial=0)),
-            cell_start=self._cell_start,
-            cell_rows=self._cell_rows,
-            shape=self._shape,
-            grid=self._grid,
-            names=np.column_stack((self.surface_id, self.link_id, self.level)),
-            heights_m=self._heights_m,
+            shape=shape,
+            grid=grid,
+            names=names,
+            heights_m=tile.base_height_m + tile.grid_m.astype(np.float64),
+            **_cells(self.frame, tile_corners_rad(tile.x, tile.y), shape),
         )
         # The same as Python numbers: for a single point many times faster than numpy.
-        self._plain_shape: list[list[float]] = self._shape.tolist()
-        self._plain_grid: list[list[int]] = self._grid.tolist()
-        columns = (self.surface_id, self.link_id, self.level, self.sigma_m, self.extent_m)
-        self._plain: list[tuple[int, int, int, float, float]] = list(
-            zip(*(column.tolist() for column in columns), strict=True)
-        )
+        self._row_of = {surface: row for row, surface in enumerate(names[:, 0].tolist())}
+        self._shape: list[list[float]] = shape.tolist()
+        self._grid: list[tuple[int, int, int]] = list(zip(*grid.T.tolist(), strict=True))
+        self._names: list[list[int]] = names.tolist()
+        self._cell_start: list[int] = self.table.cell_start.tolist()
+        self._cell_rows: list[int] = self.table.cell_rows.tolist()
 
-    def row_of(self, surface_id: int) -> int | None:
-        """Return the row of a surface; None if it is not in this tile."""
-        return self._row_of.get(surface_id)
+    def link_and_level(self, surface_id: int) -> tuple[int, int] | None:
+        """Return link and level of a surface; None if it is not in this tile."""
+        row = self._row_of.get(surface_id)
+        return None if row is None else (self._names[row][1], self._names[row][2])
 
     def hits(self, east_m: float, north_m: float) -> list[SurfaceHit]:
         """Return the surfaces at a point of the tile, by surface id."""
+        table = self.table
+        column = math.floor((east_m - table.west_m) / CELL_M)
+        line = math.floor((north_m - table.south_m) / CELL_M)
+        if not (0 <= column < table.columns and 0 <= line < table.lines):
+            return []
+        cell = line * table.columns + column
         hits = []
-        for row in self._plain_cell(east_m, north_m):
-            centre_east, centre_north, cos, sin, half_length, half_width, _, _ = self._plain_shape[row]
-            de, dn = east_m - centre_east, north_m - centre_north
-            u, v = cos * de + sin * dn, cos * dn - sin * de
-            beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
-            if beyond_u <= TOLERANCE_M and beyond_v <= TOLERANCE_M and _near(beyond_u, beyond_v):
-                inside = beyond_u <= EDGE_M and beyond_v <= EDGE_M
-                height, slope_u, slope_v = self._plane(row, (u, v), (half_length, half_width))
-                surface_id, link_id, level, sigma, extent = self._plain[row]
-                hits.append(
-                    SurfaceHit(
-                        surface_id=surface_id,
-                        link_id=link_id,
-                        level=level,
-                        inside=inside,
-                        offset_m=abs(v),
-                        height_m=height,
-                        sigma_m=sigma,
-                        slope_east=slope_u * cos - slope_v * sin,
-                        slope_north=slope_u * sin + slope_v * cos,
-                        extent_m=extent,
-                    )
+        for row in self._cell_rows[self._cell_start[cell] : self._cell_start[cell + 1]]:
+            centre_east, centre_north, cos, sin, half_length, half_width, sigma, extent = self._shape[row]
+            half_size = half_length, half_width
+            u, v, near, inside = on_surface(
+                (east_m - centre_east, north_m - centre_north), (cos, sin), half_size
+            )
+            if not near:
+                continue
+            height, slope_u, slope_v = grid_plane(table.heights_m, self._grid[row], half_size, (u, v))
+            surface_id, link_id, level = self._names[row]
+            hits.append(
+                SurfaceHit(
+                    surface_id=surface_id,
+                    link_id=link_id,
+                    level=level,
+                    inside=inside,
+                    offset_m=abs(v),
+                    height_m=height,
+                    sigma_m=sigma,
+                    slope_east=slope_u * cos - slope_v * sin,
+                    slope_north=slope_u * sin + slope_v * cos,
+                    extent_m=extent,
                 )
+            )
         return hits
 
-    def _plane(
-        self, row: int, uv: tuple[float, float], half_size: tuple[float, float]
-    ) -> tuple[float, float, float]:
-        """Return height, slope along and slope across, as `grid_plane`."""
-        first, rows, columns = self._plain_grid[row]
-        (u, v), (half_length, half_width) = uv, half_size
-        at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
-        step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
-        p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
-        i, j = min(int(p), rows - 2), min(int(q), columns - 2)
-        p, q = p - i, q - j
-        item = self._heights_m.item
-        k = first + i * columns + j
-        a, b, c, d = item(k), item(k + 1), item(k + columns), item(k + columns + 1)
-        slope_u = ((c - a) * (1.0 - q) + (d - b) * q) / step_u
-        slope_v = ((b - a) * (1.0 - p) + (d - c) * p) / step_v
-        height = (a * (1.0 - q) + b * q) * (1.0 - p) + (c * (1.0 - q) + d * q) * p
-        return height + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v
 
-    def _plain_cell(self, east_m: float, north_m: float) -> Sequence[int]:
-        column = math.floor((east_m - self._west_m) / CELL_M)
-        line = math.floor((north_m - self._south_m) / CELL_M)
-        if not (0 <= column < self._columns and 0 <= line < self._lines):
-            return ()
-        return self._cells.get(line * self._columns + column, ())
+@compiled
+def on_surface(
+    offset_m: tuple[float, float], direction: tuple[float, float], half_size: tuple[float, float]
+) -> tuple[float, float, bool, bool]:
+    """Return u and v of a point on a surface, whether it is within the tolerance, and whether inside.
 
-    def _make_cells(self, x: int, y: int) -> None:
-        """Assign surfaces to cells: `_cell_start`, `_cell_rows` as in SurfaceTable, `_cells` for one point."""
-        south, west, north, east = tile_corners_rad(x, y)
-        corners_m = self.frame.east_north_from_geodetic_array(
-            [south, south, north, north], [west, east, west, east], np.zeros(4)
-        )
-        self._west_m, self._south_m = (corners_m.min(axis=0) - MARGIN_M).tolist()
-        size_m = np.ptp(corners_m, axis=0) + 2.0 * MARGIN_M
-        self._columns, self._lines = (math.ceil(size / CELL_M) for size in size_m.tolist())
-        centre_east, centre_north, cos, sin, half_length, half_width, _, _ = self._shape.T
-        half_east = np.abs(cos) * half_length + np.abs(sin) * half_width + TOLERANCE_M + EDGE_M
-        half_north = np.abs(sin) * half_length + np.abs(cos) * half_width + TOLERANCE_M + EDGE_M
-        first_column, last_column = _span(centre_east - self._west_m, half_east, self._columns)
-        first_line, last_line = _span(centre_north - self._south_m, half_north, self._lines)
-        wide = np.maximum(last_column - first_column + 1, 0)
-        count = wide * np.maximum(last_line - first_line + 1, 0)
-        row = np.repeat(np.arange(len(count)), count)
-        nth = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-        line, column = first_line[row] + nth // wide[row], first_column[row] + nth % wide[row]
-        cell = line * self._columns + column
-        order = np.argsort(cell, kind="stable")  # stable: by row and so by surface id within a cell
-        self._cell_rows = row[order]
-        self._cell_start = np.searchsorted(cell[order], np.arange(self._columns * self._lines + 1))
-        filled, begin = np.unique(cell[order], return_index=True)
-        groups = np.split(self._cell_rows, begin[1:]) if len(filled) else []
-        self._cells: dict[int, list[int]] = {
-            int(number): group.tolist() for number, group in zip(filled, groups, strict=True)
-        }
+    `offset_m`: east and north from the surface's centre; `direction`: cosine and sine of its yaw.
+    """
+    (east_m, north_m), (cos, sin), (half_length, half_width) = offset_m, direction, half_size
+    u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
+    beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
+    near = (beyond_u <= TOLERANCE_M) & (beyond_v <= TOLERANCE_M)
+    if beyond_u > 0.0 and beyond_v > 0.0:
+        near &= math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
+    return u, v, near, (beyond_u <= EDGE_M) & (beyond_v <= EDGE_M)
 
 
-def _near(beyond_u: float, beyond_v: float) -> bool:
-    """Whether a point is within the tolerance of the rectangle, also at its corners."""
-    return beyond_u <= 0.0 or beyond_v <= 0.0 or math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
+def _cells(
+    frame: LocalFrame, corners_rad: tuple[float, float, float, float], shape: Floats
+) -> dict[str, Any]:
+    """Assign surfaces to cells: the fields of SurfaceTable about cells."""
+    south, west, north, east = corners_rad
+    corners_m = frame.east_north_from_geodetic_array(
+        [south, south, north, north], [west, east, west, east], np.zeros(4)
+    )
+    west_m, south_m = (corners_m.min(axis=0) - MARGIN_M).tolist()
+    columns, lines = np.ceil((np.ptp(corners_m, axis=0) + 2.0 * MARGIN_M) / CELL_M).astype(int).tolist()
+    centre_east, centre_north, cos, sin, half_length, half_width, _, _ = shape.T
+    half_east = np.abs(cos) * half_length + np.abs(sin) * half_width + TOLERANCE_M + EDGE_M
+    half_north = np.abs(sin) * half_length + np.abs(cos) * half_width + TOLERANCE_M + EDGE_M
+    first_column, last_column = _span(centre_east - west_m, half_east, columns)
+    first_line, last_line = _span(centre_north - south_m, half_north, lines)
+    wide = np.maximum(last_column - first_column + 1, 0)
+    count = wide * np.maximum(last_line - first_line + 1, 0)
+    row = np.repeat(np.arange(len(count)), count)
+    nth = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    cell = (first_line[row] + nth // wide[row]) * columns + first_column[row] + nth % wide[row]
+    order = np.argsort(cell, kind="stable")  # stable: by row and so by surface id within a cell
+    start = np.searchsorted(cell[order], np.arange(columns * lines + 1))
+    return {
+        "west_m": west_m,
+        "south_m": south_m,
+        "columns": columns,
+        "lines": lines,
+        "most_in_cell": int(np.diff(start).max(initial=0)),
+        "cell_start": start,
+        "cell_rows": row[order],
+    }
 
 
 def _span(centre_m: Floats, half_m: Floats, cells: int) -> tuple[Integers, Integers]:

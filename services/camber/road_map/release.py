@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
@@ -36,6 +36,15 @@ from camber.road_map.tile_grid import TILES, Tile
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
 AnyTile = SurfaceTile | LinkTile | CloudTile
+
+
+class ReleaseTile(NamedTuple):
+    """Place and size of a tile's blob."""
+
+    layer: Layer
+    x: int
+    y: int
+    size_bytes: int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,6 +112,11 @@ class Release:
     def hashes(self) -> frozenset[str]:
         """Return the hashes of all tiles."""
         return frozenset(map(self._digest, range(len(self.manifest.sha256))))
+
+    def tiles_by_hash(self) -> dict[str, ReleaseTile]:
+        """Return the tiles of all layers by their hashes, in the order of the manifest."""
+        sizes = self.manifest.size_bytes.tolist()
+        return {self._digest(row): ReleaseTile(*name, sizes[row]) for name, row in self._rows.items()}
 
     def _read(self, row: int) -> bytes:
         return self.source.blob(self._digest(row), int(self.manifest.size_bytes[row]))

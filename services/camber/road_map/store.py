@@ -73,7 +73,7 @@ class StoredRelease(NamedTuple):
 
 
 class MapStore:
-    """The store for one thread; other threads and processes open their own. A BlobSource of the active release.
+    """The store for one thread at a time; others and other processes open their own. BlobSource of the active release.
 
     Every method raises ReleaseError if the file cannot be used, StoreFullError without space; nothing is changed then.
     `limit_bytes` bounds the file. `read_only`: for inspection; a damaged file is an error.
@@ -287,7 +287,7 @@ class MapStore:
         return self._connect()
 
     def _connect(self) -> sqlite3.Connection:
-        db = sqlite3.connect(self.path, timeout=_WAIT_S, isolation_level=None)
+        db = sqlite3.connect(self.path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
         try:
             for setting in (
                 f"page_size = {_PAGE_BYTES}",

@@ -11,43 +11,41 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_server.download_thread import DownloadIntervals, DownloadScheduler
-from camber.map_server.release_download import (
-    FetchRequest,
-    FolderSupplier,
-    ReleaseDownload,
-    SupplierUnavailableError,
-    VehiclePosition,
-)
+from camber.map_server.download_thread import DownloadThread
+from camber.map_server.release_download import FolderSupplier, ReleaseDownload, SupplierUnavailableError
 from camber.map_update.fusion.corrections import NONE
-from camber.map_update.release.release_builder import history
+from camber.map_update.release.release_builder import ReleaseBuilder, history
 from camber.road_map.release import BlobMissingError, Release, ReleaseError, open_release, read_release
 from camber.road_map.store import MapStore, StoreFullError
 from camber.schemas.road import CloudTile
 from support.release_world import KEY, OTHER_KEY, STEP_M, Cloud, making, offsets
 from support.small_map import MADE_NS, at, surface, write
 
+FIVES = offsets(s1=0.05, s3=0.05, s5=0.05)
+
 
 class Vehicle:
-    """A store, and what fetches into it."""
+    """A store, and what downloads into it."""
 
-    def __init__(self, folder: Path, cloud: Any, *, limit_bytes: int = 1 << 30, **request: Any) -> None:
+    def __init__(
+        self, folder: Path, cloud: Any = None, *, limit_bytes: int = 1 << 30, **options: Any
+    ) -> None:
         self.store = MapStore(folder / "map.sqlite", limit_bytes=limit_bytes)
-        self.cloud = cloud
-        self.where = VehiclePosition()
-        wished = {"region": "test", "public_key": KEY.public_key(), "around_m": None, **request}
-        self.fetching = ReleaseDownload(
-            self.store, FetchRequest(**wished), self.where, now_ns=lambda: MADE_NS
-        )
+        self.cloud = cloud or Cloud(folder / "out")
+        options = {"region": "test", "public_key": KEY.public_key(), "around_m": None, **options}
+        self.download = ReleaseDownload(self.store, now_ns=lambda: MADE_NS, **options)
 
-    def bring(self, *, steps: int | None = None) -> None:
-        self.fetching.ask(self.cloud)
-        self.go_on(steps=steps)
+    def ask_and_fetch(self, *, steps: int | None = None) -> None:
+        self.download.ask(self.cloud)
+        self.fetch(steps=steps)
 
-    def go_on(self, *, steps: int | None = None) -> None:
-        for step, _ in enumerate(self.fetching.fetch(self.cloud)):
+    def fetch(self, *, steps: int | None = None) -> None:
+        for step, _ in enumerate(self.download.fetch(self.cloud)):
             if steps is not None and step + 1 >= steps:
                 return
+
+    def surfaces(self) -> int:
+        return len(read_release(self.store).road_surfaces())
 
     @property
     def version(self) -> int | None:
@@ -55,58 +53,80 @@ class Vehicle:
         return None if kept is None else kept.map_version
 
 
-def test_a_vehicle_gets_the_release_and_then_only_what_changed(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
+@pytest.fixture
+def builder(tmp_path: Path) -> ReleaseBuilder:
+    """Has built release 8 of eight surfaces in `out`."""
+    builder = making(tmp_path)
+    builder.build(NONE, time_ns=MADE_NS)
+    return builder
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path, builder: ReleaseBuilder) -> Vehicle:
+    """Has downloaded release 8."""
+    vehicle = Vehicle(tmp_path)
+    vehicle.ask_and_fetch()
     assert vehicle.version == 8
-    first = len(vehicle.cloud.asked)
-    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
-    vehicle.bring()
-    assert vehicle.version == 9
-    newer = vehicle.cloud.asked[first:]
-    changed = open_release(tmp_path / "out").hashes() - open_release_of(make, 8)
-    asked = {request.sha256 for request in newer} | {name for each in newer for name in each.more_sha256}
-    assert asked == changed | {open_release(tmp_path / "out").root.manifest_sha256}
-    assert all(request.base_sha256 is not None for request in newer)
-    assert read_release(vehicle.store, public_key=KEY.public_key()).road_surfaces().heights_m[3][0, 0] == (
-        pytest.approx(50.05)
-    )
-    assert not vehicle.fetching.lacks()
+    vehicle.cloud.asked.clear()
+    return vehicle
 
 
-def open_release_of(make: Any, version: int) -> frozenset[str]:
-    """The hashes of an earlier release in the folder."""
-    (manifest,) = [m.manifest for m in history(make.folder) if m.manifest.map_version == version]
-    return frozenset(row.tobytes().hex() for row in manifest.sha256)
-
-
-def test_a_fetch_that_is_cut_goes_on_where_it_was(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+def fetched_in_cuts(folder: Path) -> list[tuple[str, int]]:
+    """Download with a connection that is cut after each blob or part; returns blobs and parts as requested."""
+    vehicle = Vehicle(folder)
     for cut in range(1, 30):
         vehicle.cloud.cut_after = cut
         try:
-            vehicle.bring()
-        except SupplierUnavailableError:
-            vehicle = Vehicle(tmp_path, vehicle.cloud)  # the process is started anew, too
-        else:
+            vehicle.ask_and_fetch()
             break
-    assert vehicle.version == 8
+        except SupplierUnavailableError:
+            vehicle = Vehicle(folder, vehicle.cloud)  # the process is started anew, too
     asked = [(request.sha256, request.part) for request in vehicle.cloud.asked]
+    assert vehicle.version is not None
     assert len(asked) == len(set(asked))
+    return asked
+
+
+def cloud_tile(x: int, points: int, limit: int) -> CloudTile:
+    quanta = np.random.default_rng(x).integers(-limit, limit, (points, 3)).astype(np.int32)
+    return CloudTile(
+        time_ns=MADE_NS, x=x, y=2, layer="road_cloud", base_height_m=0.0, resolution_m=0.01, quanta=quanta
+    )
+
+
+def test_a_vehicle_gets_the_release_and_then_only_what_changed(
+    tmp_path: Path, builder: ReleaseBuilder, vehicle: Vehicle
+) -> None:
+    builder.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
+    vehicle.ask_and_fetch()
+    assert vehicle.version == 9
+    newer = vehicle.cloud.asked
+    (before,) = [m.manifest for m in history(builder.folder) if m.manifest.map_version == 8]
+    changed = open_release(tmp_path / "out").hashes() - {row.tobytes().hex() for row in before.sha256}
+    asked = {request.sha256 for request in newer} | {name for each in newer for name in each.more_sha256}
+    assert asked == changed | {open_release(tmp_path / "out").root.manifest_sha256}
+    assert all(request.base_sha256 is not None for request in newer)
+    surfaces = read_release(vehicle.store, public_key=KEY.public_key()).road_surfaces()
+    assert surfaces.heights_m[3][0, 0] == pytest.approx(50.05)
+
+
+def test_a_download_that_is_cut_continues_where_it_was(tmp_path: Path, builder: ReleaseBuilder) -> None:
+    assert len(fetched_in_cuts(tmp_path)) > 1
+
+
+def test_a_large_blob_continues_at_the_part_that_is_missing(tmp_path: Path) -> None:
+    write(tmp_path / "out", [surface(1)], clouds=[cloud_tile(1, 80_000, 2**20)], signing_key=KEY)
+    assert max(part for _, part in fetched_in_cuts(tmp_path)) >= 2
 
 
 def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) -> None:
-    make = making(tmp_path, 24)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
+    builder = making(tmp_path, 24)
+    builder.build(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path)
+    vehicle.ask_and_fetch()
     vehicle.cloud.asked.clear()
-    make.build(offsets(**{f"s{k}": 0.05 for k in range(20)}), time_ns=MADE_NS + 1)
-    vehicle.bring()
+    builder.build(offsets(**{f"s{k}": 0.05 for k in range(20)}), time_ns=MADE_NS + 1)
+    vehicle.ask_and_fetch()
     assert vehicle.version == 9
     manifest, tiles = vehicle.cloud.asked
     assert manifest.more_sha256 == ()
@@ -115,82 +135,51 @@ def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) 
     assert read_release(vehicle.store).road_surfaces().heights_m[19][0, 0] == pytest.approx(50.05)
 
 
-@pytest.mark.parametrize(
-    "sizes",
-    [[10**6], [-5], [2**31 - 1, 2**31 - 1], [1] * 65, [0]],
-    ids=["long", "negative", "huge", "many", "none"],
-)
-def test_sizes_of_more_blobs_that_cannot_be_are_refused(tmp_path: Path, sizes: list[int]) -> None:
-    making(tmp_path).build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+@pytest.mark.parametrize("sizes", [[10**6], [-5], [2**31 - 1, 2**31 - 1], [1] * 65, [0]])
+def test_sizes_of_more_blobs_that_cannot_be_are_refused(
+    tmp_path: Path, builder: ReleaseBuilder, sizes: list[int]
+) -> None:
+    vehicle = Vehicle(tmp_path)
     vehicle.cloud.change = {"more_bytes": np.array(sizes, np.int32)}
     with pytest.raises(ReleaseError, match="sizes of more blobs"):
-        vehicle.bring()
+        vehicle.ask_and_fetch()
     assert vehicle.version is None
     vehicle.cloud.change = {}
-    vehicle.go_on()
+    vehicle.fetch()
     assert vehicle.version == 8
 
 
-def test_damaged_blobs_that_came_along_are_fetched_again_and_never_kept(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
-    make.build(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
+def test_damaged_blobs_that_came_along_are_fetched_again_and_never_kept(
+    builder: ReleaseBuilder, vehicle: Vehicle
+) -> None:
+    builder.build(FIVES, time_ns=MADE_NS + 1)
     vehicle.cloud.spoil_more = lambda data: bytes(len(data))
-    vehicle.bring()
+    vehicle.ask_and_fetch()
     assert vehicle.version == 9
     for digest in open_release(vehicle.store).hashes():
         assert hashlib.sha256(vehicle.store.blob(digest, None)).hexdigest() == digest
 
 
-def test_a_large_blob_goes_on_at_the_part_that_is_missing(tmp_path: Path) -> None:
-    quanta = np.random.default_rng(1).integers(-(2**20), 2**20, (80_000, 3)).astype(np.int32)
-    tile = CloudTile(
-        time_ns=MADE_NS, x=1, y=2, layer="road_cloud", base_height_m=0.0, resolution_m=0.01, quanta=quanta
-    )
-    write(tmp_path / "out", [surface(1)], clouds=[tile], signing_key=KEY)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    for cut in range(1, 30):
-        vehicle.cloud.cut_after = cut
-        try:
-            vehicle.bring()
-            break
-        except SupplierUnavailableError:
-            vehicle = Vehicle(tmp_path, vehicle.cloud)
-    asked = [(request.sha256, request.part) for request in vehicle.cloud.asked]
-    assert len(asked) == len(set(asked))
-    assert max(part for _, part in asked) >= 2
-    assert vehicle.version == 7
-
-
-def test_the_old_release_is_in_force_until_all_of_the_new_one_is_here(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
-    make.build(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
-    vehicle.bring(steps=3)
-    assert vehicle.version == 8
-    assert len(read_release(vehicle.store).road_surfaces()) == 8
-    vehicle.go_on()
+def test_the_old_release_is_in_force_until_all_of_the_new_one_is_here(
+    builder: ReleaseBuilder, vehicle: Vehicle
+) -> None:
+    builder.build(FIVES, time_ns=MADE_NS + 1)
+    vehicle.ask_and_fetch(steps=3)
+    assert (vehicle.version, vehicle.surfaces()) == (8, 8)
+    vehicle.fetch()
     assert vehicle.version == 9
 
 
 @pytest.mark.parametrize("key", [OTHER_KEY, None])
 def test_a_release_signed_with_another_key_is_refused_and_nothing_of_it_is_fetched(
-    tmp_path: Path, key: Any
+    tmp_path: Path, vehicle: Vehicle, key: Any
 ) -> None:
-    making(tmp_path / "good").build(NONE, time_ns=MADE_NS)
-    making(tmp_path / "bad", key=key).build(offsets(s1=3.0), time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "good" / "out"))
-    vehicle.bring()
+    forger = making(tmp_path / "bad", key=key)
+    for offset_m in (3.0, 3.1):
+        forger.build(offsets(s1=offset_m), time_ns=MADE_NS)
     vehicle.cloud = Cloud(tmp_path / "bad" / "out")
-    make = making(tmp_path / "bad", key=key)
-    make.build(offsets(s1=3.1), time_ns=MADE_NS)
     with pytest.raises(ReleaseError, match=r"key|signature"):
-        vehicle.bring()
+        vehicle.ask_and_fetch()
     assert vehicle.cloud.asked == []
     assert vehicle.version == 8
 
@@ -198,72 +187,50 @@ def test_a_release_signed_with_another_key_is_refused_and_nothing_of_it_is_fetch
 @pytest.mark.parametrize(
     "spoil", [lambda d: d[: len(d) // 2], lambda d: d[:-1] + bytes([d[-1] ^ 1]), lambda d: b""]
 )
-def test_truncated_or_damaged_blobs_are_never_kept(tmp_path: Path, spoil: Any) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
-    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
+def test_truncated_or_damaged_blobs_are_never_kept(
+    builder: ReleaseBuilder, vehicle: Vehicle, spoil: Any
+) -> None:
+    builder.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
     vehicle.cloud.spoil = spoil
     with pytest.raises(ReleaseError):
-        vehicle.bring()
+        vehicle.ask_and_fetch()
     assert vehicle.version == 8
     vehicle.cloud.spoil = lambda data: data
-    vehicle.bring()
+    vehicle.ask_and_fetch()
     assert vehicle.version == 9
 
 
-def test_where_a_difference_does_not_lead_to_the_blob_the_whole_one_is_fetched(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
-    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
+def test_where_a_difference_does_not_lead_to_the_blob_the_whole_one_is_fetched(
+    builder: ReleaseBuilder, vehicle: Vehicle
+) -> None:
+    builder.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
     vehicle.cloud.spoil = lambda data: data if data[:1] == b"z" else data[:-1]
-    vehicle.bring()
+    vehicle.ask_and_fetch()
     assert vehicle.version == 9
-    assert {request.base_sha256 for request in vehicle.cloud.asked[-1:]} == {None}
+    assert vehicle.cloud.asked[-1].base_sha256 is None
 
 
-def test_a_full_store_keeps_the_old_release(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    Vehicle(tmp_path, Cloud(tmp_path / "out")).bring()
-    clouds = [
-        CloudTile(
-            time_ns=MADE_NS,
-            x=k,
-            y=2,
-            layer="road_cloud",
-            base_height_m=0.0,
-            resolution_m=0.01,
-            quanta=np.random.default_rng(k).integers(-(2**30), 2**30, (9000, 3)).astype(np.int32),
-        )
-        for k in range(4)
-    ]
+def test_a_full_store_keeps_the_old_release(tmp_path: Path, vehicle: Vehicle) -> None:
+    clouds = [cloud_tile(k, 9000, 2**30) for k in range(4)]
     write(tmp_path / "out", [surface(1)], map_version=20, clouds=clouds, signing_key=KEY)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), limit_bytes=300_000)
+    small = Vehicle(tmp_path, limit_bytes=300_000)
     with pytest.raises(StoreFullError):
-        vehicle.bring()
-    assert vehicle.version == 8
-    assert len(read_release(vehicle.store).road_surfaces()) == 8
-    roomy = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    roomy.go_on()
-    assert roomy.version == 20
+        small.ask_and_fetch()
+    assert (small.version, small.surfaces()) == (8, 8)
+    vehicle.fetch()
+    assert vehicle.version == 20
 
 
 def test_of_a_large_map_the_part_around_the_vehicle_is_kept(tmp_path: Path) -> None:
-    make = making(tmp_path, 40)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
-    vehicle.bring()
+    making(tmp_path, 40).build(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path, around_m=1000.0)
+    vehicle.ask_and_fetch()
     assert vehicle.version == 8
     release = open_release(vehicle.store)
     assert len(vehicle.store.missing(release.hashes())) == len(release.hashes())
     for place in (0, 20, 39):
-        vehicle.where.point_rad = at(STEP_M * place, 0.0)
-        assert vehicle.fetching.lacks()
-        vehicle.go_on()
+        vehicle.download.position_rad = at(STEP_M * place, 0.0)
+        vehicle.fetch()
         known = known_surfaces(release)
         assert {k for k in range(40) if abs(k - place) * STEP_M < 1000.0} <= known
         assert known <= {k for k in range(40) if abs(k - place) * STEP_M < 3500.0}
@@ -271,141 +238,128 @@ def test_of_a_large_map_the_part_around_the_vehicle_is_kept(tmp_path: Path) -> N
 
 
 def known_surfaces(release: Release) -> set[int]:
-    found: set[int] = set()
+    known: set[int] = set()
     for xy in release.tiles("surfaces"):
         try:
             tile = release.surface_tile(*xy)
         except BlobMissingError:
             continue
         assert tile is not None
-        found |= set(tile.surface_id.tolist())
-    return found
+        known |= set(tile.surface_id.tolist())
+    return known
 
 
-def test_a_newer_release_of_a_part_knows_no_less_than_the_old_one(tmp_path: Path) -> None:
-    make = making(tmp_path, 40)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
-    vehicle.where.point_rad = at(STEP_M * 5, 0.0)
-    vehicle.bring()
+def test_a_newer_release_of_a_part_has_no_less_than_the_old_one(tmp_path: Path) -> None:
+    builder = making(tmp_path, 40)
+    builder.build(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path, around_m=1000.0)
+    vehicle.download.position_rad = at(STEP_M * 5, 0.0)
+    vehicle.ask_and_fetch()
     before = known_surfaces(open_release(vehicle.store))
-    make.build(offsets(s5=0.1, s30=0.1), time_ns=MADE_NS + 1)
-    parked = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
-    parked.bring()
+    builder.build(offsets(s5=0.1, s30=0.1), time_ns=MADE_NS + 1)
+    parked = Vehicle(tmp_path, around_m=1000.0)
+    parked.ask_and_fetch()
     assert parked.version == 9
     assert known_surfaces(open_release(parked.store)) == before
     assert len(parked.cloud.asked) < 6
 
 
-def test_a_folder_is_taken_in_like_the_cloud_and_an_old_one_is_left(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    folder = FolderSupplier(tmp_path / "out")
-    vehicle = Vehicle(tmp_path, folder, region=None)
-    vehicle.bring()
+def test_a_folder_supplies_like_the_cloud_and_an_old_one_is_ignored(
+    tmp_path: Path, builder: ReleaseBuilder
+) -> None:
+    vehicle = Vehicle(tmp_path, FolderSupplier(tmp_path / "out"), region=None)
+    vehicle.ask_and_fetch()
     assert vehicle.version == 8
-    vehicle.cloud = FolderSupplier(tmp_path / "in")
-    assert not vehicle.fetching.ask(vehicle.cloud)
+    assert not vehicle.download.ask(FolderSupplier(tmp_path / "in"))
     assert vehicle.version == 8
 
 
 def test_without_a_region_and_without_a_map_the_cloud_cannot_be_asked(tmp_path: Path) -> None:
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), region=None)
     with pytest.raises(ReleaseError, match="region, expected a setting"):
-        vehicle.bring()
+        Vehicle(tmp_path, region=None).ask_and_fetch()
 
 
-def test_a_damaged_blob_is_fetched_again(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.bring()
+def test_a_damaged_blob_is_fetched_again(tmp_path: Path, vehicle: Vehicle) -> None:
     with sqlite3.connect(tmp_path / "map.sqlite") as db:
         db.execute("UPDATE blob SET data = zeroblob(length(data)) WHERE rowid % 2 = 0 AND rowid > 1")
-    vehicle.fetching.drop_damaged()
-    assert vehicle.fetching.lacks()
-    vehicle.go_on()
-    assert len(read_release(vehicle.store).road_surfaces()) == 8
+    vehicle.download.drop_damaged()
+    assert vehicle.store.missing(open_release(vehicle.store).hashes())
+    vehicle.fetch()
+    assert vehicle.surfaces() == 8
 
 
-# -- when ------------------------------------------------------------------------------------------------------------
+# -- schedule --------------------------------------------------------------------------------------------------------
 
 
-def rounds(vehicle: Vehicle, **times: float) -> DownloadScheduler:
-    limits = {"ask_every_s": 600.0, "spread_s": 10.0, "retry_every_s": 60.0, **times}
-    return DownloadScheduler(
-        vehicle.store,
-        vehicle.fetching,
-        vehicle.where,
-        cloud=vehicle.cloud,
-        folder=None,
-        times=DownloadIntervals(**limits),
-        rng=random.Random(1),
+def thread_of(vehicle: Vehicle, folder: FolderSupplier | None = None) -> DownloadThread:
+    intervals = {"ask_every_s": 600.0, "spread_s": 10.0, "retry_every_s": 60.0}
+    return DownloadThread(
+        vehicle.download, cloud=vehicle.cloud, folder=folder, rng=random.Random(1), **intervals
     )
 
 
-def run(each: DownloadScheduler, from_s: float, until_s: float) -> list[str]:
-    """Steps of a second; returns the codes of what went wrong."""
+def run(thread: DownloadThread, from_s: float, until_s: float) -> list[str]:
+    """Steps of a second; returns the codes of the problems."""
     for second in np.arange(from_s, until_s):
-        each.step(float(second), lambda: True, lambda: None)
-    return [each.problems.get()[0] for _ in range(each.problems.qsize())]
+        thread.step(float(second))
+    return [code for code, _ in thread.take_problems()]
 
 
-def test_a_notice_is_followed_within_its_time_and_a_lost_one_in_the_end(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    each = rounds(vehicle)
-    run(each, 0, 2)
+def test_a_notice_is_followed_within_its_time_and_a_lost_one_in_the_end(
+    tmp_path: Path, builder: ReleaseBuilder
+) -> None:
+    vehicle = Vehicle(tmp_path)
+    thread = thread_of(vehicle)
+    run(thread, 0, 2)
     assert vehicle.version == 8
-    make.build(offsets(s1=0.1), time_ns=MADE_NS + 1)
-    run(each, 2, 100)
+    assert thread.take_change()
+    builder.build(offsets(s1=0.1), time_ns=MADE_NS + 1)
+    run(thread, 2, 100)
     assert vehicle.version == 8
-    each.noticed = True
-    run(each, 100, 111)
+    assert not thread.take_change()
+    thread.notice()
+    run(thread, 100, 111)
     assert vehicle.version == 9
-    make.build(offsets(s1=0.2), time_ns=MADE_NS + 2)
-    run(each, 111, 720)
+    builder.build(offsets(s1=0.2), time_ns=MADE_NS + 2)
+    run(thread, 111, 720)
     assert vehicle.version == 10
 
 
-def test_without_a_connection_it_is_tried_less_and_less_often_and_goes_on_when_it_is_back(
-    tmp_path: Path,
+def test_without_a_connection_queries_become_rarer_and_continue_when_it_is_back(
+    tmp_path: Path, builder: ReleaseBuilder
 ) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+    vehicle = Vehicle(tmp_path)
     vehicle.cloud.cut_after = 1
-    each = rounds(vehicle)
-    codes = run(each, 0, 600)
+    thread = thread_of(vehicle)
+    codes = run(thread, 0, 600)
     assert set(codes) == {"fetch_unanswered"}
     assert 10 < len(codes) < 40
-    assert not each.troubled
+    assert not thread.troubled
     vehicle.cloud.cut_after = None
-    run(each, 600, 661)
+    run(thread, 600, 661)
     assert vehicle.version == 8
 
 
-def test_what_is_refused_is_said_and_tried_again_after_a_while(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.build(NONE, time_ns=MADE_NS)
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+def test_a_refusal_is_reported_and_the_download_retried_later(
+    tmp_path: Path, builder: ReleaseBuilder
+) -> None:
+    vehicle = Vehicle(tmp_path)
     vehicle.cloud.spoil = lambda data: data[:-1]
-    each = rounds(vehicle)
-    assert run(each, 0, 130) == ["release_refused"] * 3
-    assert each.troubled
+    thread = thread_of(vehicle)
+    assert run(thread, 0, 130) == ["release_refused"] * 3
+    assert thread.troubled
     vehicle.cloud.spoil = lambda data: data
-    assert run(each, 130, 200) == []
-    assert (vehicle.version, each.troubled) == (8, False)
+    assert run(thread, 130, 200) == []
+    assert (vehicle.version, thread.troubled) == (8, False)
 
 
 def test_a_folder_without_a_release_is_named_while_there_is_no_map(tmp_path: Path) -> None:
-    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    each = rounds(vehicle)
-    each._folder = FolderSupplier(tmp_path / "factory")
-    each._guarded = lambda *_: None  # type: ignore[method-assign,assignment]
-    assert run(each, 0, 5) == ["release_absent"]
+    vehicle = Vehicle(tmp_path)
+    vehicle.cloud.cut_after = 0
+    thread = thread_of(vehicle, FolderSupplier(tmp_path / "factory"))
+    codes = run(thread, 0, 5)
+    assert codes.count("release_absent") == 1
     making(tmp_path / "made").build(NONE, time_ns=MADE_NS)
     (tmp_path / "made" / "out").rename(tmp_path / "factory")
-    assert run(each, 5, 10) == []
-    assert each._folder_stamp is not None
+    assert "release_absent" not in run(thread, 5, 10)
+    assert vehicle.version == 8

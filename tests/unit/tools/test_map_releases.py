@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from camber.map_server.release_download import FetchRequest, ReleaseDownload, VehiclePosition
+from camber.map_server.release_download import ReleaseDownload
 from camber.map_update.fusion.publication import DECISION, DECISIONS, Decisions
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import open_release, read_release
@@ -102,12 +102,9 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
 
 def test_a_vehicle_goes_back_by_its_operator_only(folder: Path, capsys: Any) -> None:
     path = folder.parent / "map.sqlite"
-    store, where = MapStore(path), VehiclePosition()
+    store = MapStore(path)
     fetching = ReleaseDownload(
-        store,
-        FetchRequest(region="test", public_key=KEY.public_key(), around_m=None),
-        where,
-        now_ns=lambda: MADE_NS,
+        store, region="test", public_key=KEY.public_key(), around_m=None, now_ns=lambda: MADE_NS
     )
     cloud = Cloud(folder)
     builder = making(folder.parent)
