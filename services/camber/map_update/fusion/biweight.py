@@ -20,7 +20,6 @@ segmentation).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -78,8 +77,7 @@ class Location(NamedTuple):
     scale_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class FusedHeights:
+class FusedHeights(NamedTuple):
     """For each surface (n,): location of its votes and its uncertainty; NaN without votes."""
 
     location_m: Floats
@@ -106,6 +104,10 @@ class FusedHeights:
     """Location without the lowest voters, which a coalition cannot lower."""
 
 
+_COUNTS = {"voters": 0, "known_voters": 0, "votes": 0, "days": 0, "first_session": -1, "last_session": -1}
+"""The integers of FusedHeights, and their values without votes."""
+
+
 def estimate_heights(
     begins: Integers, votes: VoteColumns, *, known: NDArray[np.bool_], vote_sigma_m: float
 ) -> FusedHeights:
@@ -113,26 +115,11 @@ def estimate_heights(
 
     `known` (n,): the voter's bias is known from other streets. `vote_sigma_m`: spread of a vote of weight 1.
     """
-    integers, floats = _heights(begins, votes, known, vote_sigma_m)
-    location_m, error_m, degrees, scale_m, agreement, no_highest_m, no_lowest_m = np.ascontiguousarray(
-        floats.T
+    heights = FusedHeights(
+        *(np.full(len(begins) - 1, _COUNTS.get(name, np.nan)) for name in FusedHeights._fields)
     )
-    voters, known_voters, vote_count, days, first, last = np.ascontiguousarray(integers.T)
-    return FusedHeights(
-        location_m=location_m,
-        standard_error_m=error_m,
-        degrees=degrees,
-        scale_m=scale_m,
-        voters=voters,
-        known_voters=known_voters,
-        votes=vote_count,
-        days=days,
-        agreement=agreement,
-        first_session=first,
-        last_session=last,
-        without_highest_m=no_highest_m,
-        without_lowest_m=no_lowest_m,
-    )
+    _fill_heights(begins, votes, known, vote_sigma_m, heights)
+    return heights
 
 
 @compiled_without_gil
@@ -278,13 +265,10 @@ def _day_of_change(votes: VoteColumns, sigma_m: float, from_day: int, end_day: i
 
 
 @compiled_without_gil
-def _heights(
-    begins: Integers, votes: VoteColumns, known: NDArray[np.bool_], sigma_m: float
-) -> tuple[Integers, Floats]:
-    n = len(begins) - 1
-    integers, floats = np.zeros((n, 6), np.int64), np.full((n, 7), np.nan)
-    integers[:, 4:] = -1
-    for i in range(n):
+def _fill_heights(
+    begins: Integers, votes: VoteColumns, known: NDArray[np.bool_], sigma_m: float, heights: FusedHeights
+) -> None:
+    for i in range(len(begins) - 1):
         a, b = begins[i], begins[i + 1]
         if a == b:
             continue
@@ -297,32 +281,22 @@ def _heights(
             if changed == from_day:
                 break
             from_day = changed
+        heights.first_session[i], heights.last_session[i] = from_day, end_day - 1
         x, w = _one_per_voter(of_surface, from_day, end_day)
-        result = biweight_location(x, w, sigma_m)
-        integers[i, 4], integers[i, 5] = from_day, end_day - 1
         if len(x) == 0:
             continue
-        agree = 0
-        for k in range(len(x)):
-            if abs(x[k] - result.location_m) * math.sqrt(w[k]) <= 3.0 * sigma_m:
-                agree += 1
-        floats[i, 0], floats[i, 1] = result.location_m, result.standard_error_m
-        floats[i, 2], floats[i, 3] = result.degrees, result.scale_m
-        floats[i, 4] = agree / len(x)
+        result = biweight_location(x, w, sigma_m)
+        heights.location_m[i], heights.standard_error_m[i] = result.location_m, result.standard_error_m
+        heights.degrees[i], heights.scale_m[i] = result.degrees, result.scale_m
+        agree = np.count_nonzero(np.abs(x - result.location_m) * np.sqrt(w) <= 3.0 * sigma_m)
+        heights.agreement[i] = agree / len(x)
         if from_day < end_day - _COALITION_DAYS:
             liars = math.ceil(_COALITION * len(x) - _ROUNDING)
         by_value, removed = np.argsort(x), min(liars, len(x))
         low, high = by_value[: len(x) - removed], by_value[removed:]
-        floats[i, 5] = biweight_location(x[low], w[low], sigma_m).location_m
-        floats[i, 6] = biweight_location(x[high], w[high], sigma_m).location_m
-        integers[i, 0] = len(x)
-        integers[i, 1], integers[i, 2], integers[i, 3] = _counts(of_surface, known[a:b], from_day)
-    return integers, floats
-
-
-@compiled_without_gil
-def _counts(votes: VoteColumns, known: NDArray[np.bool_], from_day: int) -> tuple[int, int, int]:
-    """Return voters whose bias is known, votes, and different days, of the votes with a weight since `from_day`."""
-    counted = (votes.session >= from_day) & (votes.weight >= _LEAST_WEIGHT)
-    known_voters = len(np.unique(votes.voter[counted & known]))
-    return known_voters, int(np.count_nonzero(counted)), len(np.unique(votes.session[counted]))
+        heights.without_highest_m[i] = biweight_location(x[low], w[low], sigma_m).location_m
+        heights.without_lowest_m[i] = biweight_location(x[high], w[high], sigma_m).location_m
+        counted = (of_surface.session >= from_day) & (of_surface.weight >= _LEAST_WEIGHT)
+        heights.voters[i], heights.votes[i] = len(x), np.count_nonzero(counted)
+        heights.known_voters[i] = len(np.unique(of_surface.voter[counted & known[a:b]]))
+        heights.days[i] = len(np.unique(of_surface.session[counted]))

@@ -8,13 +8,11 @@ A `Fusion` belongs to one reference release: offsets are relative to its heights
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from camber.map_update.fusion.biweight import FusedHeights, VoteColumns, estimate_heights
+from camber.map_update.fusion.biweight import VoteColumns, estimate_heights
 from camber.map_update.fusion.publication import Decisions, PublicationSettings, decide
 from camber.map_update.fusion.surface_neighbours import build_neighbourhood
 from camber.map_update.fusion.surface_shape import shape_spread, shape_variance_m2
@@ -48,18 +46,6 @@ class FusionSettings(PublicationSettings):
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class FusionEstimates:
-    """Inputs of the decisions: the votes used, and estimates of surfaces (n,) by `row` of the neighbourhood."""
-
-    votes: Votes
-    biases: Biases
-    row: Integers
-    heights: FusedHeights
-    common_error_m: Floats
-    shape_m: Floats
-
-
 class Fusion:
     """Fusion against one reference release, with one secret for pseudonyms and sampling."""
 
@@ -83,7 +69,8 @@ class Fusion:
 
     def thin(self, votes: Votes, now_ns: int) -> Votes:
         """Return those of votes, one of each key, that have a slot at GPS time `now_ns`; the others may be deleted."""
-        return thin_votes(votes, self._secret, SlotLimits(), newest_session=self._today(now_ns))
+        today = int(session_of(np.array([now_ns]), np.array([self._east_rad]))[0])
+        return thin_votes(votes, self._secret, SlotLimits(), newest_session=today)
 
     def decide(
         self, votes: Votes, corrected_surface_id: Integers, correction_m: Floats, now_ns: int
@@ -93,22 +80,6 @@ class Fusion:
         `correction_m` (k,) are the present offsets of the map from the reference at `corrected_surface_id` (k,); other
         surfaces have none. Raises ValueError for votes that are not sorted.
         """
-        estimates = self.estimate(votes, now_ns)
-        correction = np.zeros(len(self.neighbourhood.surface_id))
-        corrected = self.neighbourhood.rows_of(np.asarray(corrected_surface_id, np.int64))
-        correction[corrected[corrected >= 0]] = np.asarray(correction_m, np.float64)[corrected >= 0]
-        return decide(
-            estimates.row,
-            estimates.heights,
-            common_error_m=estimates.common_error_m,
-            shape_m=estimates.shape_m,
-            correction_m=correction[estimates.row],
-            neighbourhood=self.neighbourhood,
-            settings=self._settings,
-        )
-
-    def estimate(self, votes: Votes, now_ns: int) -> FusionEstimates:
-        """Return biases and heights from votes as `decide` takes them."""
         _check_order(votes)
         votes = self.thin(votes, now_ns)
         row = self.neighbourhood.rows_of(np.ascontiguousarray(votes["surface_id"]))
@@ -133,17 +104,18 @@ class Fusion:
             known=biases.known,
             vote_sigma_m=biases.components.vote_m,
         )
-        return FusionEstimates(
-            votes=votes,
-            biases=biases,
-            row=surface,
-            heights=heights,
+        correction = np.zeros(len(self.neighbourhood.surface_id))
+        corrected = self.neighbourhood.rows_of(np.asarray(corrected_surface_id, np.int64))
+        correction[corrected[corrected >= 0]] = np.asarray(correction_m, np.float64)[corrected >= 0]
+        return decide(
+            surface,
+            heights,
             common_error_m=_common_errors(begins, voter, biases),
             shape_m=shape_m,
+            correction_m=correction[surface],
+            neighbourhood=self.neighbourhood,
+            settings=self._settings,
         )
-
-    def _today(self, now_ns: int) -> int:
-        return int(session_of(np.array([now_ns]), np.array([self._east_rad]))[0])
 
 
 def _common_errors(begins: Integers, voter: Integers, biases: Biases) -> Floats:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,10 +161,9 @@ def decide(
     surfaces["surface_id"] = neighbourhood.surface_id[row]
     surfaces["offset_m"], surfaces["standard_error_m"] = heights.location_m, error_m
     surfaces["previous_correction_m"] = surfaces["correction_m"] = correction_m
-    surfaces["agreement"] = heights.agreement
     surfaces["vehicles"], surfaces["known_vehicles"] = heights.voters, heights.known_voters
-    surfaces["votes"], surfaces["days"] = heights.votes, heights.days
-    surfaces["first_session"], surfaces["last_session"] = heights.first_session, heights.last_session
+    for name in ("agreement", "votes", "days", "first_session", "last_session"):
+        surfaces[name] = getattr(heights, name)
     surfaces["region"] = neighbourhood.region[row]
     considered = heights.voters > 0
     without_few_m = np.where(
@@ -183,7 +182,9 @@ def decide(
         row=row, offset_m=heights.location_m, change_m=change_m, error_m=error_m, enough=enough
     )
     alarms, shifted = _regional_shifts(changes, common_error_m, neighbourhood, settings)
-    isolated = _isolated_steps(changes, neighbourhood, settings)
+    isolated = _isolated_steps(
+        changes, neighbourhood.neighbour_begins, neighbourhood.neighbour, settings.publish_standard_errors
+    )
     returned = (correction_m != 0.0) & (
         np.abs(heights.location_m) - settings.publish_standard_errors * error_m
         <= settings.publish_threshold_m
@@ -255,8 +256,7 @@ def upper_tails(z: Floats) -> Floats:
     return p
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Changes:
+class _Changes(NamedTuple):
     """Surfaces (n,): row in the neighbourhood, offset, change, its error, and whether enough vehicles observed it."""
 
     row: Integers
@@ -266,54 +266,26 @@ class _Changes:
     enough: NDArray[np.bool_]
 
 
+@compiled
 def _isolated_steps(
-    changes: _Changes, neighbourhood: SurfaceNeighbourhood, settings: PublicationSettings
+    changes: _Changes, begins: Integers, neighbour: Integers, standard_errors: float
 ) -> NDArray[np.bool_]:
     """Return which surfaces (n,) changed while no neighbour did, among those that enough vehicles observed."""
-    total = len(neighbourhood.surface_id)
-    observed = changes.row[changes.enough]
-    all_offset_m, all_error_m = np.full(total, np.nan), np.full(total, np.nan)
-    all_offset_m[observed] = changes.offset_m[changes.enough]
-    all_error_m[observed] = changes.error_m[changes.enough]
-    return _isolated(
-        changes.row,
-        change_m=changes.change_m,
-        error_m=changes.error_m,
-        offset_m=changes.offset_m,
-        all_offset_m=all_offset_m,
-        all_error_m=all_error_m,
-        begins=neighbourhood.neighbour_begins,
-        neighbour=neighbourhood.neighbour,
-        standard_errors=settings.publish_standard_errors,
-    )
-
-
-@compiled
-def _isolated(
-    row: Integers,
-    change_m: Floats,
-    error_m: Floats,
-    offset_m: Floats,
-    all_offset_m: Floats,
-    all_error_m: Floats,
-    begins: Integers,
-    neighbour: Integers,
-    standard_errors: float,
-) -> NDArray[np.bool_]:
-    isolated = np.zeros(len(row), np.bool_)
-    for i in range(len(row)):
-        known = 0
-        for k in range(begins[row[i]], begins[row[i] + 1]):
-            other_m, other_error_m = all_offset_m[neighbour[k]], all_error_m[neighbour[k]]
-            if np.isnan(other_m):
+    place = np.full(len(begins) - 1, -1)
+    place[changes.row[changes.enough]] = np.flatnonzero(changes.enough)
+    isolated = np.zeros(len(changes.row), np.bool_)
+    for i in range(len(isolated)):
+        change_m, contradicted = changes.change_m[i], False
+        for k in range(begins[changes.row[i]], begins[changes.row[i] + 1]):
+            other = place[neighbour[k]]
+            if other < 0 or np.isnan(changes.offset_m[other]):
                 continue
-            known += 1
-            lag_m = (offset_m[i] - other_m) * math.copysign(1.0, change_m[i])
-            uncertainty_m = standard_errors * math.sqrt(other_error_m**2 + error_m[i] ** 2)
-            if lag_m <= max(_STEP_SHARE * abs(change_m[i]), uncertainty_m):
-                known = -1
+            lag_m = (changes.offset_m[i] - changes.offset_m[other]) * math.copysign(1.0, change_m)
+            error_m = math.sqrt(changes.error_m[other] ** 2 + changes.error_m[i] ** 2)
+            contradicted = not lag_m <= max(_STEP_SHARE * abs(change_m), standard_errors * error_m)
+            if not contradicted:
                 break
-        isolated[i] = known > 0
+        isolated[i] = contradicted
     return isolated
 
 

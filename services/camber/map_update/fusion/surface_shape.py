@@ -22,7 +22,7 @@ def shape_spread(begins: Integers, variance_m2: Floats) -> Floats:
 
     The median over the votes rejects the noise of single vehicles; the noise of a pass is included.
     """
-    spread_m: Floats = np.sqrt(_finite_medians(begins, variance_m2) / _MEDIAN_CHI2)
+    spread_m: Floats = np.sqrt(finite_medians(begins, variance_m2) / _MEDIAN_CHI2)
     return spread_m
 
 
@@ -35,7 +35,7 @@ def shape_variance_m2(spread_m: Floats) -> Floats:
 
 
 @compiled_without_gil
-def _finite_medians(begins: Integers, value: Floats) -> Floats:
+def finite_medians(begins: Integers, value: Floats) -> Floats:
     """Return the median (groups,) of each group's values that are not NaN; 0 for groups without any."""
     n = len(begins) - 1
     median = np.zeros(n)

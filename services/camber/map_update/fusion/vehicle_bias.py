@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.map_update.fusion.biweight import MAD_TO_SIGMA, TUNING
+from camber.map_update.fusion.surface_shape import finite_medians
 from camber.map_update.fusion.votes import Floats, Integers
 
 # Chosen: backfitting converges in five to eight iterations; the tolerance is half the step of published heights.
@@ -112,7 +113,7 @@ def estimate_biases(
     groups = _grouped(block, voter, session)
     surface = np.repeat(np.arange(len(begins) - 1), np.diff(begins))
     stated = np.minimum(1.0, (_SIGMA_FLOOR_M / np.maximum(sigma_m, _SIGMA_FLOOR_M)) ** 2)
-    height_m = _medians(begins, value_m)
+    height_m = finite_medians(begins, value_m)
     components = _PRIOR
     session_m = np.zeros(len(groups.session_begins) - 1)
     vote_shape_m2 = shape_m2[surface]
@@ -134,7 +135,7 @@ def estimate_biases(
         weight = stated * robust * components.vote_m**2 / (components.vote_m**2 + variance_m2 + vote_shape_m2)
         previous_m = height_m
         if iteration < 2:
-            height_m = _medians(begins, value_m - bias_m)
+            height_m = finite_medians(begins, value_m - bias_m)
         else:
             height_m = _biweight_step(begins, value_m - bias_m, weight, height_m, vote_m=components.vote_m)
         if iteration > 2 and np.abs(height_m - previous_m).max(initial=0.0) < _TOLERANCE_M:
@@ -190,7 +191,7 @@ def _estimate_components(
     session = _pooled(max(difference - noise, 0.0), len(pair), _PRIOR.session_m)
 
     seen, first = np.unique(voter[many], return_index=True)
-    centre_m = _medians(np.append(first, np.count_nonzero(many)), means.session_m[many])
+    centre_m = finite_medians(np.append(first, np.count_nonzero(many)), means.session_m[many])
     spread_m = MAD_TO_SIGMA * float(np.median(np.abs(centre_m))) if len(centre_m) else 0.0
     each = np.count_nonzero(many) / max(len(seen), 1)
     noise = (session + noise) / max(each, 1.0)
@@ -206,16 +207,6 @@ def _pooled(observed: float, count: float, prior_m: float) -> float:
 
 def _mad(x: Floats) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(x - np.median(x)))) if len(x) else 0.0
-
-
-@compiled_without_gil
-def _medians(begins: Integers, value_m: Floats) -> Floats:
-    n = len(begins) - 1
-    median_m = np.zeros(n)
-    for i in range(n):
-        if begins[i + 1] > begins[i]:
-            median_m[i] = np.median(value_m[begins[i] : begins[i + 1]])
-    return median_m
 
 
 @compiled_without_gil

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -151,10 +149,10 @@ def test_neighbours_that_hardly_anyone_has_seen_contradict_nobody() -> None:
     fused = heights(offset_m)
     few = fused.voters.copy()
     few[[4, 6]] = 3
-    assert outcomes(decision(replace(fused, voters=few)))[5] == ("publish", "changed")
+    assert outcomes(decision(fused._replace(voters=few)))[5] == ("publish", "changed")
     vague = fused.standard_error_m.copy()
     vague[4] = 0.03
-    assert outcomes(decision(replace(fused, standard_error_m=vague)))[5] == ("publish", "changed")
+    assert outcomes(decision(fused._replace(standard_error_m=vague)))[5] == ("publish", "changed")
 
 
 def test_a_neighbour_that_was_corrected_before_shares_the_change() -> None:
