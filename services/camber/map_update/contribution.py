@@ -69,45 +69,39 @@ class Contribution:
 def from_upload(upload: ElevationUpload) -> Contribution:
     """Return the contribution of a single upload."""
     ee, en, _, nn, _, _ = upload.position_covariance_enu_m2
-    row = (
-        upload.time_ns,
-        upload.fix_id,
-        QUALITIES.index(upload.fix_quality),
-        upload.surface_id,
-        VERDICTS.index(upload.verdict),
-        upload.latitude_rad,
-        upload.longitude_rad,
-        math.sqrt(max(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en), 0.0)),
-        upload.road_height_m,
-        upload.road_height_sigma_m,
-        upload.antenna_height_m,
-    )
-    return Contribution(
-        vehicle=upload.vehicle,
-        kind="upload",
-        id=upload.upload_id,
-        datum=upload.datum,
-        map_version=upload.map_version,
-        epoch_year=upload.epoch_year,
-        position_covariance_enu_m2=upload.position_covariance_enu_m2,
-        observations=np.array([row], OBSERVATION),
-    )
+    values = {name: getattr(upload, name, None) for name in OBSERVATION.names or ()} | {
+        "fix_quality": QUALITIES.index(upload.fix_quality),
+        "verdict": VERDICTS.index(upload.verdict),
+        "horizontal_sigma_m": math.sqrt(max(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en), 0.0)),
+    }
+    rows = np.array([tuple(values.values())], OBSERVATION)
+    covariance = upload.position_covariance_enu_m2
+    return _contribution(upload, "upload", upload.upload_id, covariance=covariance, rows=rows)
 
 
 def from_batch(batch: UploadBatch) -> Contribution:
     """Return the contribution of a batch."""
     rows = np.empty(len(batch.positioning_time_ns), OBSERVATION)
-    rows["time_ns"] = batch.positioning_time_ns
     for name in OBSERVATION.names or ():
-        if name != "time_ns":
-            rows[name] = getattr(batch, name)
+        rows[name] = batch.positioning_time_ns if name == "time_ns" else getattr(batch, name)
+    return _contribution(batch, "batch", batch.batch_id, covariance=None, rows=rows)
+
+
+def _contribution(
+    message: ElevationUpload | UploadBatch,
+    kind: Kind,
+    id_: str,
+    *,
+    covariance: tuple[float, ...] | None,
+    rows: npt.NDArray[np.void],
+) -> Contribution:
     return Contribution(
-        vehicle=batch.vehicle,
-        kind="batch",
-        id=batch.batch_id,
-        datum=batch.datum,
-        map_version=batch.map_version,
-        epoch_year=batch.epoch_year,
-        position_covariance_enu_m2=None,
+        vehicle=message.vehicle,
+        kind=kind,
+        id=id_,
+        datum=message.datum,
+        map_version=message.map_version,
+        epoch_year=message.epoch_year,
+        position_covariance_enu_m2=covariance,
         observations=rows,
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from pydantic import SecretStr
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_update.admission import Refusal, check, check_vehicle
+from camber.map_update.admission import check, check_vehicle
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import DECISIONS, REASONS
@@ -77,8 +77,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._unavailable: set[str] = set()
         self._checked_ns = self._forgot_ns = 0
         self._started_ns = bus.now_ns()
-        self._sender = _queue_sender(settings) if settings.role == "receive" else None
-        self._receiver = _queue_receiver(settings) if settings.role == "store" else None
+        self._sender, self._receiver = _queue(settings)
         self._store = _open_store(settings) if settings.role != "receive" else None
         self._cycle: FusionCycle | None = None
         self._serving = None
@@ -166,27 +165,23 @@ class MapUpdateService(Service[MapUpdateSettings]):
     ) -> Sequence[Outcome | None]:
         """Return the outcomes; contributions are checked as a whole, before parts go to different shards."""
         refusals = check(contributions, now_ns, self.settings)
-        outcomes: Sequence[Outcome | None] | None
-        if self._sender is None:
-            outcomes = self._commit(contributions, refusals, now_ns)
-        else:
-            outcomes = self._forward(self._sender, contributions, refusals)
+        queued = [QueuedContribution(*pair) for pair in zip(contributions, refusals, strict=True)]
+        sender = self._sender
+        outcomes = self._commit(queued, now_ns) if sender is None else self._forward(sender, queued)
         return outcomes or [None] * len(contributions)
 
-    def _commit(
-        self, contributions: Sequence[Contribution], refusals: Sequence[Refusal | None], now_ns: int
-    ) -> list[Outcome] | None:
+    def _commit(self, queued: Sequence[QueuedContribution], now_ns: int) -> list[Outcome] | None:
         store = self._store
         assert store is not None
-        of = {
-            id(contribution): refusal for contribution, refusal in zip(contributions, refusals, strict=True)
-        }
-        return self._attempt("commit", lambda: store.commit(contributions, now_ns, lambda c: of[id(c)]))
+        contributions = [item.contribution for item in queued]
+        refusal_of = {id(item.contribution): item.refusal for item in queued}
+        return self._attempt(
+            "commit", lambda: store.commit(contributions, now_ns, lambda c: refusal_of[id(c)])
+        )
 
     def _forward(
-        self, sender: QueueSender, contributions: Sequence[Contribution], refusals: Sequence[Refusal | None]
+        self, sender: QueueSender, queued: Sequence[QueuedContribution]
     ) -> list[Outcome | None] | None:
-        queued = [QueuedContribution(*pair) for pair in zip(contributions, refusals, strict=True)]
         before = sender.too_large
         outcomes = self._attempt("queue", lambda: sender.send(queued))
         if sender.too_large > before:
@@ -206,10 +201,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
             return
         queued = [item for delivery in deliveries for item in delivery.contributions]
         now_ns = self.bus.now_ns()
-        outcomes = None
-        if now_ns >= EARLIEST_NS:
-            refusals = [item.refusal for item in queued]
-            outcomes = self._commit([item.contribution for item in queued], refusals, now_ns)
+        outcomes = self._commit(queued, now_ns) if now_ns >= EARLIEST_NS else None
         if outcomes is None:
             self._attempt("queue", lambda: receiver.redeliver(deliveries))
             return
@@ -350,22 +342,15 @@ def _voters_key(path: Path | None, default: Path) -> bytes:
         ) from None
 
 
-def _queue_sender(settings: MapUpdateSettings) -> QueueSender:
-    from camber.map_update.queue.nats_queue import QueueSender
+def _queue(settings: MapUpdateSettings) -> tuple[QueueSender | None, QueueReceiver | None]:
+    if settings.queue is None:
+        return None, None
+    from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
 
-    assert settings.queue is not None
-    password = _secret(settings.queue_password)
-    return QueueSender(settings.queue, Shards(settings.shards), password=password, limit_s=settings.answer_s)
-
-
-def _queue_receiver(settings: MapUpdateSettings) -> QueueReceiver:
-    from camber.map_update.queue.nats_queue import QueueReceiver
-
-    assert settings.queue is not None
-    password = _secret(settings.queue_password)
-    return QueueReceiver(
-        settings.queue, settings.shard or WORLD, password=password, limit_s=settings.answer_s
-    )
+    password, limit_s = _secret(settings.queue_password), settings.answer_s
+    if settings.role == "receive":
+        return QueueSender(settings.queue, Shards(settings.shards), password=password, limit_s=limit_s), None
+    return None, QueueReceiver(settings.queue, settings.shard or WORLD, password=password, limit_s=limit_s)
 
 
 def _secret(value: SecretStr | None) -> str | None:

@@ -23,18 +23,14 @@ from collections.abc import Iterable
 
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
 from camber.road_map.release_files import MAX_BLOB_BYTES
-from camber.road_map.road_columns import ReleaseError
+from camber.road_map.road_columns import Integers, ReleaseError
+from camber.road_map.road_tiles import changed_tile, grid_nodes
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import SurfaceTile
 
-Integers = NDArray[np.int64]
-
-# Resolution of heights in a tile: `road_tiles` rounds them to 0.1 mm.
-_STEPS_PER_M = 10_000
-_HEIGHT_DECIMALS = 4
+_STEPS_PER_M = 10_000  # resolution of heights in a tile: `road_tiles` rounds them to 0.1 mm
 _LARGE_BYTES = 1 << 20  # larger blobs take seconds at the highest compression level
 _MAX_WINDOW_LOG = 27  # largest window that zstd decoders accept by default (RFC 8878: 128 MiB)
 _UNCHANGED_FIELDS = (
@@ -147,42 +143,33 @@ def _surface_numbers(blob: bytes, base: bytes) -> list[int] | None:
 
 def _numbers(new: SurfaceTile, old: SurfaceTile) -> list[int]:
     height = _heights(new) - _heights(old)
-    sizes = new.rows.astype(np.int64) * new.columns
-    changed, shifts, nodes = [], list[int](), list[int]()
-    for row in range(len(sizes)):
-        first = int(new.first_height[row])
-        mine = height[first : first + int(sizes[row])]
-        what = _ChangeFlags(0)
-        if mine.any():
-            what |= _ChangeFlags.SHIFT if (mine == mine[0]).all() else _ChangeFlags.NODES
-        what |= _ChangeFlags.SIGMA if new.sigma_m[row] != old.sigma_m[row] else _ChangeFlags(0)
-        what |= _ChangeFlags.VEHICLES if new.vehicles[row] != old.vehicles[row] else _ChangeFlags(0)
-        what |= _ChangeFlags.SEEN if new.last_seen_ns[row] != old.last_seen_ns[row] else _ChangeFlags(0)
-        if what:
-            changed.append((row, what))
-        if what & _ChangeFlags.SHIFT:
-            shifts.append(int(mine[0]))
-        elif what & _ChangeFlags.NODES:
-            nodes += mine.tolist()
-    rows = np.array([row for row, _ in changed], np.int64)
-
-    def of(flag: _ChangeFlags) -> Integers:
-        return np.array([row for row, what in changed if what & flag], np.int64)
-
-    ages = new.time_ns - new.last_seen_ns[of(_ChangeFlags.SEEN)]
-    divisor = max(math.gcd(*ages.tolist()), 1) if len(ages) else 1
-    sigma = np.round(new.sigma_m[of(_ChangeFlags.SIGMA)].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
+    nodes, _ = grid_nodes(new, np.arange(len(new.rows)))
+    ends = np.cumsum(new.rows.astype(np.int64) * new.columns)
+    steps = [np.unique(part) for part in np.split(height[nodes], ends)[:-1]]
+    changed = {
+        _ChangeFlags.SHIFT: np.array([len(each) == 1 and each[0] != 0 for each in steps], bool),
+        _ChangeFlags.NODES: np.array([len(each) > 1 for each in steps], bool),
+        _ChangeFlags.SIGMA: new.sigma_m != old.sigma_m,
+        _ChangeFlags.VEHICLES: new.vehicles != old.vehicles,
+        _ChangeFlags.SEEN: new.last_seen_ns != old.last_seen_ns,
+    }
+    what = np.sum([int(flag) * rows for flag, rows in changed.items()], axis=0)
+    rows = np.flatnonzero(what)
+    of = {flag: np.flatnonzero(rows) for flag, rows in changed.items()}
+    ages = (new.time_ns - new.last_seen_ns[of[_ChangeFlags.SEEN]]).tolist()
+    divisor = max(math.gcd(*ages), 1)
+    sigma = np.round(new.sigma_m[of[_ChangeFlags.SIGMA]].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
     return [
-        len(changed),
+        len(rows),
         _zigzag(new.time_ns - old.time_ns),
         divisor,
         *np.diff(rows, prepend=-1).tolist(),
-        *(int(what) for _, what in changed),
-        *map(_zigzag, shifts),
-        *map(_zigzag, nodes),
+        *what[rows].tolist(),
+        *map(_zigzag, height[new.first_height[of[_ChangeFlags.SHIFT]]].tolist()),
+        *map(_zigzag, height[grid_nodes(new, of[_ChangeFlags.NODES])[0]].tolist()),
         *sigma.tolist(),
-        *new.vehicles[of(_ChangeFlags.VEHICLES)].tolist(),
-        *(_zigzag(age // divisor) for age in ages.tolist()),
+        *new.vehicles[of[_ChangeFlags.VEHICLES]].tolist(),
+        *(_zigzag(age // divisor) for age in ages),
     ]
 
 
@@ -200,42 +187,32 @@ def _with_changes(base: bytes, numbers: _Numbers) -> bytes:
     what = np.array(numbers.take(count), np.int64)
     if count and (rows[0] < 0 or (np.diff(rows) <= 0).any() or rows[-1] >= len(old.rows)):
         raise ValueError("rows beyond the tile")
-
-    def of(flag: _ChangeFlags) -> Integers:
-        chosen: Integers = rows[(what & int(flag)) != 0]
-        return chosen
-
-    grid_m, sigma_m = old.grid_m.copy(), old.sigma_m.copy()
-    vehicles, last_seen_ns = old.vehicles.copy(), old.last_seen_ns.copy()
-    sizes = old.rows.astype(np.int64) * old.columns
-    shifted, bent = of(_ChangeFlags.SHIFT), of(_ChangeFlags.NODES)
-    steps = np.repeat(_signed_column(numbers.take(len(shifted))), sizes[shifted])
-    at = np.concatenate((_nodes(old, shifted), _nodes(old, bent)))
-    steps = np.concatenate((steps, _signed_column(numbers.take(int(sizes[bent].sum())))))
-    heights_m = np.round(old.base_height_m + grid_m[at].astype(np.float64), _HEIGHT_DECIMALS)
-    heights_m = np.round(heights_m + steps / _STEPS_PER_M, _HEIGHT_DECIMALS)
-    grid_m[at] = (heights_m - old.base_height_m).astype(np.float32)
-    surer, counted, seen = of(_ChangeFlags.SIGMA), of(_ChangeFlags.VEHICLES), of(_ChangeFlags.SEEN)
-    sigma_m[surer] = (np.array(numbers.take(len(surer)), np.float64) / _STEPS_PER_M).astype(np.float32)
-    vehicles[counted] = np.array(numbers.take(len(counted)), np.int32)
-    ages = [time_ns - _signed(age) * divisor for age in numbers.take(len(seen))]
-    last_seen_ns[seen] = np.array(ages, np.int64)
+    of = {flag: rows[(what & int(flag)) != 0] for flag in _ChangeFlags}
+    shifted, of_surface = grid_nodes(old, of[_ChangeFlags.SHIFT])
+    bent, _ = grid_nodes(old, of[_ChangeFlags.NODES])
+    shifts = np.array([_signed(number) for number in numbers.take(len(of[_ChangeFlags.SHIFT]))], np.int64)
+    steps = np.array([_signed(number) for number in numbers.take(len(bent))], np.int64)
+    raised_m = np.concatenate((shifts[of_surface], steps)) / _STEPS_PER_M
+    sigma_m = np.array(numbers.take(len(of[_ChangeFlags.SIGMA])), np.float64) / _STEPS_PER_M
+    vehicles = np.array(numbers.take(len(of[_ChangeFlags.VEHICLES])), np.int32)
+    seen_ns = [time_ns - _signed(age) * divisor for age in numbers.take(len(of[_ChangeFlags.SEEN]))]
     numbers.finish()
-    changed = {"grid_m": grid_m, "sigma_m": sigma_m, "vehicles": vehicles, "last_seen_ns": last_seen_ns}
-    return encode(SurfaceTile(**old.__dict__ | changed | {"time_ns": time_ns}))
+    return encode(
+        changed_tile(
+            old,
+            time_ns=time_ns,
+            raised=(np.concatenate((shifted, bent)), raised_m),
+            sigma_m=(of[_ChangeFlags.SIGMA], sigma_m),
+            vehicles=(of[_ChangeFlags.VEHICLES], vehicles),
+            last_seen_ns=(of[_ChangeFlags.SEEN], np.array(seen_ns, np.int64)),
+        )
+    )
 
 
 def _heights(tile: SurfaceTile) -> Integers:
     heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
     steps: Integers = np.round(heights_m * _STEPS_PER_M).astype(np.int64)
     return steps
-
-
-def _nodes(tile: SurfaceTile, surfaces: Integers) -> Integers:
-    sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
-    nth = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    nodes: Integers = np.repeat(tile.first_height[surfaces].astype(np.int64), sizes) + nth
-    return nodes
 
 
 # -- numbers ---------------------------------------------------------------------------------------------------------
@@ -247,10 +224,6 @@ def _zigzag(number: int) -> int:
 
 def _signed(number: int) -> int:
     return -(number + 1) // 2 if number & 1 else number // 2
-
-
-def _signed_column(numbers: list[int]) -> Integers:
-    return np.array([_signed(number) for number in numbers], np.int64)
 
 
 def _leb128(numbers: Iterable[int]) -> bytes:

@@ -126,6 +126,32 @@ def _by_tile(row: Integers, x: Integers, y: Integers, ids: Integers) -> Iterable
         yield (int(group[0, 0]), int(group[0, 1])), group[:, 3]
 
 
+# -- changes of a tile -----------------------------------------------------------------------------------------------
+
+
+def grid_nodes(tile: SurfaceTile, surfaces: Integers) -> tuple[Integers, Integers]:
+    """Return the rows (m,) of `grid_m` of some surfaces (k,), and the place in `surfaces` of each."""
+    sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
+    of_surface = np.repeat(np.arange(len(surfaces)), sizes)
+    nth = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return tile.first_height[surfaces].astype(np.int64)[of_surface] + nth, of_surface
+
+
+def changed_tile(
+    tile: SurfaceTile, *, time_ns: int, raised: tuple[Integers, Floats], **columns: tuple[Integers, Any]
+) -> SurfaceTile:
+    """Return a tile with other values of some rows of `columns`; `raised`: rows of `grid_m`, by how much [m]."""
+    nodes, raised_m = raised
+    grid_m = tile.grid_m.copy()
+    heights_m = np.round(tile.base_height_m + grid_m[nodes].astype(np.float64), _HEIGHT_DECIMALS)
+    heights_m = np.round(heights_m + raised_m, _HEIGHT_DECIMALS)
+    grid_m[nodes] = (heights_m - tile.base_height_m).astype(np.float32)
+    changed = {name: getattr(tile, name).copy() for name in columns}
+    for name, (rows, values) in columns.items():
+        changed[name][rows] = values
+    return SurfaceTile(**tile.__dict__ | changed | {"time_ns": time_ns, "grid_m": grid_m})
+
+
 # -- from tiles ------------------------------------------------------------------------------------------------------
 
 

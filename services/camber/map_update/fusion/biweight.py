@@ -118,7 +118,7 @@ def estimate_heights(
     heights = FusedHeights(
         *(np.full(len(begins) - 1, _COUNTS.get(name, np.nan)) for name in FusedHeights._fields)
     )
-    _fill_heights(begins, votes, known, vote_sigma_m, heights)
+    _fill_heights(begins, votes, known, vote_sigma_m, heights=heights)
     return heights
 
 

@@ -22,11 +22,10 @@ from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, 
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.road_map.release_writer import StoredBlob, TileKey, write_tiles_and_manifest
+from camber.road_map.road_tiles import changed_tile, grid_nodes
 from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import Tile
 from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
-
-_HEIGHT_DECIMALS = 4  # resolution of heights in tiles, 0.1 mm, as `corrections.STEP_M`
 
 
 class ReleaseRecord(NamedTuple):
@@ -114,11 +113,9 @@ class ReleaseBuilder:
 
     def _kept_blobs(self) -> dict[TileKey, bytes | StoredBlob]:
         """Return the reference's tiles, which are in the folder already."""
-        manifest = self.reference.manifest
-        columns = (manifest.layer.tolist(), manifest.tile_x.tolist(), manifest.tile_y.tolist())
         return {
-            place: StoredBlob(manifest.sha256[row].tobytes(), int(manifest.size_bytes[row]))
-            for row, place in enumerate(zip(*columns, strict=True))
+            (LAYERS.index(layer), x, y): StoredBlob(bytes.fromhex(digest), size)
+            for digest, (layer, x, y, size) in self.reference.tiles_by_hash().items()
         }
 
     def _keep_reference(self) -> None:
@@ -136,16 +133,13 @@ class ReleaseBuilder:
             tiles = self.reference.tiles("surfaces")
             ids = [tile.surface_id for xy in tiles if (tile := self.reference.surface_tile(*xy)) is not None]
             number = np.repeat(np.arange(len(ids)), [len(each) for each in ids])
-            every = np.concatenate([*ids, np.zeros(0, np.int64)])
-            order = np.argsort(every, kind="stable")
-            self._tiles_of = every[order], number[order], tiles
+            self._tiles_of = np.concatenate([*ids, np.zeros(0, np.int64)]), number, tiles
         every, number, tiles = self._tiles_of
-        first, last = (np.searchsorted(every, rows["surface_id"], side) for side in ("left", "right"))
-        if (first == last).any():
-            unknown = int(rows["surface_id"][np.argmax(first == last)])
-            raise ReleaseError("corrections", "surface_id", "a surface of the reference", actual=str(unknown))
-        at = np.concatenate([np.arange(i, j) for i, j in zip(first, last, strict=True)] or [np.zeros(0, int)])
-        return [tiles[n] for n in np.unique(number[at]).tolist()]
+        unknown = np.setdiff1d(rows["surface_id"], every)
+        if len(unknown):
+            expected = "a surface of the reference"
+            raise ReleaseError("corrections", "surface_id", expected, actual=str(unknown[0]))
+        return [tiles[n] for n in np.unique(number[np.isin(every, rows["surface_id"])]).tolist()]
 
     def _corrected(self, tile: Tile, rows: Corrections) -> bytes:
         original = self.reference.surface_tile(*tile)
@@ -205,21 +199,18 @@ def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
     """
     at = rows_of(rows, tile.surface_id)
     surfaces = np.flatnonzero(at >= 0)
-    mine = rows[at[surfaces]]
-    sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
-    nth = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    nodes = np.repeat(tile.first_height[surfaces].astype(np.int64), sizes) + nth
-    grid_m, sigma_m = tile.grid_m.copy(), tile.sigma_m.copy()
-    vehicles, last_seen_ns = tile.vehicles.copy(), tile.last_seen_ns.copy()
-    heights_m = np.round(tile.base_height_m + grid_m[nodes].astype(np.float64), _HEIGHT_DECIMALS)
-    heights_m = np.round(heights_m + np.repeat(mine["offset_m"], sizes), _HEIGHT_DECIMALS)
-    grid_m[nodes] = (heights_m - tile.base_height_m).astype(np.float32)
-    sigma_m[surfaces] = mine["sigma_m"].astype(np.float32)
-    vehicles[surfaces] = mine["vehicles"]
-    last_seen_ns[surfaces] = np.maximum(last_seen_ns[surfaces], mine["last_seen_ns"])
-    changed = {"grid_m": grid_m, "sigma_m": sigma_m, "vehicles": vehicles, "last_seen_ns": last_seen_ns}
-    time_ns = max(tile.time_ns, int(mine["last_seen_ns"].max(initial=0)))
-    return SurfaceTile(**tile.__dict__ | changed | {"time_ns": time_ns})
+    corrections = rows[at[surfaces]]
+    nodes, of_surface = grid_nodes(tile, surfaces)
+    seen_ns = tile.last_seen_ns.copy()
+    seen_ns[surfaces] = np.maximum(seen_ns[surfaces], corrections["last_seen_ns"])
+    return changed_tile(
+        tile,
+        time_ns=max(tile.time_ns, int(corrections["last_seen_ns"].max(initial=0))),
+        raised=(nodes, corrections["offset_m"][of_surface]),
+        sigma_m=(surfaces, corrections["sigma_m"]),
+        vehicles=(surfaces, corrections["vehicles"]),
+        last_seen_ns=(surfaces, seen_ns[surfaces]),
+    )
 
 
 def reference_in(folder: Path) -> Release:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -32,16 +32,6 @@ ReviewAction = Literal["accept", "reject"]
 _SAME_M = 0.01
 _SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
-_COLUMNS = (
-    "previous_correction_m",
-    "offset_m",
-    "standard_error_m",
-    "agreement",
-    "vehicles",
-    "known_vehicles",
-    "votes",
-    "days",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +172,7 @@ class ReviewFolder:
                 surface_id=int(row["surface_id"]),
                 reason=REASONS[int(row["reason"])],
                 since_ns=since.get(int(row["surface_id"]), now_ns),
-                **{name: row[name].item() for name in _COLUMNS},
+                **{field.name: row[field.name].item() for field in fields(HeldChange)[3:]},
             )
             for row in rows
         ]
