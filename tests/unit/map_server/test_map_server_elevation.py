@@ -54,28 +54,26 @@ OVERPASS = [
 ]
 
 
-def overpass(**topology: Any) -> Road:
-    return road(OVERPASS, 0.0, 0.0, LINKS, **topology)
-
-
 # -- heights ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_plane_gives_its_height_slope_and_names() -> None:
     # 1 m higher in front than behind over 20 m: 5 % along a yaw of 90°, that is to the north.
-    found = road([surface(5, yaw_rad=math.pi / 2, level=2, heights_m=[[50.0, 50.0], [51.0, 51.0]])], 1.0, 2.0)
-    assert found.status == "known"
-    assert (found.surface_id, found.level, found.datum, found.map_version) == (5, 2, "WGS84", 7)
-    assert found.elevation_m == pytest.approx(50.6, abs=1e-4)
-    assert found.sigma_m == pytest.approx(0.03)
-    assert found.slope_north == pytest.approx(0.05, abs=1e-5)
-    assert found.slope_east == pytest.approx(0.0, abs=1e-5)
+    result = road(
+        [surface(5, yaw_rad=math.pi / 2, level=2, heights_m=[[50.0, 50.0], [51.0, 51.0]])], 1.0, 2.0
+    )
+    assert result.status == "known"
+    assert (result.surface_id, result.level, result.datum, result.map_version) == (5, 2, "WGS84", 7)
+    assert result.elevation_m == pytest.approx(50.6, abs=1e-4)
+    assert result.sigma_m == pytest.approx(0.03)
+    assert result.slope_north == pytest.approx(0.05, abs=1e-5)
+    assert result.slope_east == pytest.approx(0.0, abs=1e-5)
 
 
 def test_columns_run_from_right_to_left() -> None:
-    found = road([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 0.0, 1.0)
-    assert found.elevation_m == pytest.approx(50.3, abs=1e-4)  # north is left of a road to the east
-    assert found.slope_north == pytest.approx(0.1, abs=1e-5)
+    result = road([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 0.0, 1.0)
+    assert result.elevation_m == pytest.approx(50.3, abs=1e-4)  # north is left of a road to the east
+    assert result.slope_north == pytest.approx(0.1, abs=1e-5)
 
 
 def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> None:
@@ -90,7 +88,7 @@ def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> N
 def test_heights_are_those_of_an_independent_interpolation(
     seed: int, latitude_rad: float, longitude_rad: float
 ) -> None:
-    """Brute force over all surfaces with scipy, anywhere on earth, for points on, beside and between surfaces."""
+    """Brute force over all surfaces with scipy, anywhere on earth, for points on, next to and between surfaces."""
     rng = np.random.default_rng(seed)
     frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
     rows = [
@@ -112,13 +110,13 @@ def test_heights_are_those_of_an_independent_interpolation(
         want = _brute_force(rows, point_m, frame)
         if want == "too close to call":
             continue
-        found = the_map.road(*at(*point_m, frame))
+        result = the_map.road(*at(*point_m, frame))
         if want is None:
-            assert found.reason == "no_surface"
+            assert result.reason == "no_surface"
         else:
-            assert (found.status, found.surface_id) == ("known", want[0])
-            assert found.elevation_m == pytest.approx(want[1], abs=2e-4)
-            assert (found.slope_east, found.slope_north) == pytest.approx(want[2:], abs=1e-3)
+            assert (result.status, result.surface_id) == ("known", want[0])
+            assert result.elevation_m == pytest.approx(want[1], abs=2e-4)
+            assert (result.slope_east, result.slope_north) == pytest.approx(want[2:], abs=1e-3)
 
 
 def _brute_force(rows: Rows, point_m: np.ndarray, frame: LocalFrame) -> Any:
@@ -223,86 +221,70 @@ def test_a_tile_is_read_only_when_it_is_needed_and_what_reading_raises_is_raised
 # -- which of several ------------------------------------------------------------------------------------------------
 
 
-def test_under_a_bridge_without_topology_the_level_is_not_known() -> None:
-    assert overpass() == Road(status="unknown", reason="levels_ambiguous")
+AMBIGUOUS = "levels_ambiguous"
+BOTH = [GROUND, BRIDGE]
 
 
-def test_a_candidate_link_says_the_level() -> None:
-    assert overpass(link_ids=[GROUND]).elevation_m == pytest.approx(50.0)
-    assert overpass(link_ids=[BRIDGE]).elevation_m == pytest.approx(56.0)
+@pytest.mark.parametrize(
+    ("point_m", "link_ids", "last_surface_id", "expected"),
+    [
+        ((0.0, 0.0), [], None, AMBIGUOUS),
+        # A candidate link gives the level; candidates on both levels do not.
+        ((0.0, 0.0), [GROUND], None, 10),
+        ((0.0, 0.0), [BRIDGE], None, 20),
+        ((0.0, 0.0), BOTH, None, AMBIGUOUS),
+        # So does the last surface by its link, also between candidates; candidates go before it.
+        ((0.0, 0.0), [], 11, 10),
+        ((0.0, 0.0), [], 21, 20),
+        ((0.0, 0.0), BOTH, 11, 10),
+        ((0.0, 0.0), [BRIDGE], 11, 20),
+        # The ramp shares a node with the ground road and one with the bridge.
+        ((0.0, 0.0), [], 30, AMBIGUOUS),
+        # Without connection, or unknown.
+        ((0.0, 0.0), [], 40, AMBIGUOUS),
+        ((0.0, 0.0), [], 999, AMBIGUOUS),
+        # Candidates without a surface here leave two levels ambiguous, and the only level known,
+        ((0.0, 0.0), [FAR], None, AMBIGUOUS),
+        ((0.0, 0.0), [FAR], 11, AMBIGUOUS),
+        ((60.0, 0.0), [FAR], None, 11),
+        # unless the vehicle is on a level that has no surface here: the ground below the bridge is not its road.
+        ((60.0, 0.0), [BRIDGE], None, AMBIGUOUS),
+        ((60.0, 0.0), [FAR, BRIDGE], None, AMBIGUOUS),
+        ((60.0, 0.0), [], 21, AMBIGUOUS),
+        # A bridge within the tolerance counts.
+        ((2.4, 0.0), [], None, AMBIGUOUS),
+        ((2.6, 0.0), [], None, 10),
+    ],
+)
+def test_links_and_last_surface_select_the_level(
+    point_m: tuple[float, float], link_ids: list[int], last_surface_id: int | None, expected: int | str
+) -> None:
+    result = road(OVERPASS, *point_m, LINKS, link_ids=link_ids, last_surface_id=last_surface_id)
+    if expected == AMBIGUOUS:
+        assert result == Road(status="unknown", reason="levels_ambiguous")
+    else:
+        assert result.surface_id == expected
+        assert result.elevation_m == pytest.approx(56.0 if expected == 20 else 50.0)
 
 
-def test_candidates_on_both_levels_do_not_decide() -> None:
-    assert overpass(link_ids=[GROUND, BRIDGE]).reason == "levels_ambiguous"
-
-
-def test_the_last_surface_says_the_level_by_its_link() -> None:
-    assert overpass(last_surface_id=11).elevation_m == pytest.approx(50.0)
-    assert overpass(last_surface_id=21).elevation_m == pytest.approx(56.0)
-
-
-def test_the_last_surface_decides_between_candidates() -> None:
-    assert overpass(link_ids=[GROUND, BRIDGE], last_surface_id=11).surface_id == 10
-
-
-def test_candidates_go_before_the_last_surface() -> None:
-    assert overpass(link_ids=[BRIDGE], last_surface_id=11).surface_id == 20
-
-
-def test_a_ramp_that_joins_both_levels_does_not_decide() -> None:
-    # The ramp shares a node with the ground road and one with the bridge.
-    assert overpass(last_surface_id=30).reason == "levels_ambiguous"
-
-
-def test_a_last_surface_without_connection_or_unheard_of_does_not_decide() -> None:
-    assert overpass(last_surface_id=40).reason == "levels_ambiguous"
-    assert overpass(last_surface_id=999).reason == "levels_ambiguous"
-
-
-def test_candidates_without_a_surface_here_leave_two_levels_ambiguous() -> None:
-    assert overpass(link_ids=[FAR]).reason == "levels_ambiguous"
-    assert overpass(link_ids=[FAR], last_surface_id=11).reason == "levels_ambiguous"
-
-
-def test_candidates_without_a_surface_here_leave_the_only_level_known() -> None:
-    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[FAR]).surface_id == 11
-
-
-def test_the_only_level_is_not_taken_for_a_vehicle_that_is_on_another() -> None:
-    # The bridge has no surface at this place, and the vehicle is on the bridge: the ground below is not its road.
-    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[BRIDGE]).reason == "levels_ambiguous"
-    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[FAR, BRIDGE]).reason == "levels_ambiguous"
-    assert road(OVERPASS, 60.0, 0.0, LINKS, last_surface_id=21).reason == "levels_ambiguous"
-
-
-def test_a_bridge_within_the_tolerance_is_there_too() -> None:
-    assert road(OVERPASS, 2.4, 0.0, LINKS).reason == "levels_ambiguous"
-    assert road(OVERPASS, 2.6, 0.0, LINKS).surface_id == 10
-
-
-def test_of_surfaces_that_agree_the_nearest_centre_line_is_taken() -> None:
+def test_of_surfaces_on_one_level_that_agree_the_nearest_centre_line_decides() -> None:
     lanes = [surface(5), surface(6, 0.0, 3.0), surface(7, 0.0, 1.5)]
     assert road(lanes, 0.0, 1.7).surface_id == 7
     assert road(lanes, 0.0, 0.5).surface_id == 5
-
-
-def test_of_centre_lines_equally_near_the_smaller_id_is_taken() -> None:
+    # Equally near: the smaller id.
     assert road([surface(9, 0.0, -1.0), surface(8, 0.0, 1.0)], 0.0, 0.0).surface_id == 8
-
-
-def test_surfaces_of_one_level_that_disagree_are_ambiguous() -> None:
-    apart = [surface(5, heights_m=50.0), surface(6, 0.0, 1.0, heights_m=50.07)]
-    near = [surface(5, heights_m=50.0), surface(6, 0.0, 1.0, heights_m=50.05)]
-    assert road(apart, 0.0, 0.2).reason == "levels_ambiguous"
-    assert road(near, 0.0, 0.2).surface_id == 5
-
-
-def test_a_surface_that_contains_the_point_goes_before_one_that_only_comes_near() -> None:
+    # One that contains the point goes before one within the tolerance.
     rows = [surface(5, heights_m=50.0), surface(6, 0.0, 2.9, half_width_m=0.5, heights_m=50.5)]
     assert road(rows, 0.0, 1.95).surface_id == 5
 
 
-def test_no_height_has_a_say_in_the_choice_of_a_level() -> None:
+@pytest.mark.parametrize(("other_m", "reason"), [(50.05, "none"), (50.07, AMBIGUOUS)])
+def test_surfaces_of_one_level_must_agree_within_their_sigma(other_m: float, reason: str) -> None:
+    rows = [surface(5, heights_m=50.0), surface(6, 0.0, 1.0, heights_m=other_m)]
+    assert road(rows, 0.0, 0.2).reason == reason
+
+
+def test_heights_do_not_decide_on_a_level() -> None:
     for bridge_m in (50.0, 50.01, 56.0, 900.0):
         rows = [OVERPASS[0], OVERPASS[1] | {"heights_m": np.full((2, 2), bridge_m)}]
         assert road(rows, 0.0, 0.0, LINKS).reason == "levels_ambiguous"
@@ -321,13 +303,13 @@ def test_what_is_known_never_contradicts_the_topology(
     level_of = {row["link_id"]: row["level"] for row in link_rows}
     by_id = {row["surface_id"]: row for row in rows}
     for point in np.random.default_rng(seed).uniform(-40.0, 40.0, (20, 2)):
-        found = the_map.road(*at(*point), link_ids, last_surface_id)
+        result = the_map.road(*at(*point), link_ids, last_surface_id)
         plain = the_map.road(*at(*point))
-        assert (found.reason == "no_surface") == (plain.reason == "no_surface")
-        if found.status == "known" and link_ids:
-            assert found.surface_id is not None
-            on_candidate = by_id[found.surface_id]["link_id"] in link_ids
-            assert on_candidate or {level_of[i] for i in link_ids if i in level_of} <= {found.level}
+        assert (result.reason == "no_surface") == (plain.reason == "no_surface")
+        if result.status == "known" and link_ids:
+            assert result.surface_id is not None
+            on_candidate = by_id[result.surface_id]["link_id"] in link_ids
+            assert on_candidate or {level_of[i] for i in link_ids if i in level_of} <= {result.level}
 
 
 # -- the road around an uncertain point ------------------------------------------------------------------------------
@@ -339,53 +321,55 @@ def around(rows: Rows, radius_m: float, east_m: float = 0.0, north_m: float = 0.
 
 def test_a_patch_samples_the_road_within_the_radius() -> None:
     rows = [surface(5, yaw_rad=0.3, heights_m=[[50.0, 50.2], [51.0, 51.2]])]
-    found = around(rows, 5.0)
-    assert found.patch is not None
-    assert np.hypot(found.patch.east_m, found.patch.north_m).max() <= 5.0 + 1e-9
-    assert found.patch.reach_m == pytest.approx(1.25)
-    assert found.elevation_m is not None
-    assert found.slope_east is not None
-    assert found.slope_north is not None
-    plane_m = (
-        found.elevation_m + found.slope_east * found.patch.east_m + found.slope_north * found.patch.north_m
-    )
-    assert np.allclose(found.patch.elevation_m, plane_m, atol=1e-3)
+    result = around(rows, 5.0)
+    assert result.patch is not None
+    assert np.hypot(result.patch.east_m, result.patch.north_m).max() <= 5.0 + 1e-9
+    assert result.patch.reach_m == pytest.approx(1.25)
+    plane = (result.elevation_m, result.slope_east, result.slope_north)
+    plane_m = np.dot(plane, [np.ones(len(result.patch.east_m)), result.patch.east_m, result.patch.north_m])
+    assert np.allclose(result.patch.elevation_m, plane_m, atol=1e-3)
 
 
 def test_without_a_radius_there_is_no_patch() -> None:
     assert around([surface(5)], 0.0) == road([surface(5)], 0.0, 0.0)
 
 
-def test_beside_the_road_the_nearest_plane_goes_on() -> None:
-    found = around([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 5.0, 0.0, 4.0)
-    assert (found.status, found.surface_id, found.extent_m) == ("known", 5, 0.0)
-    assert found.elevation_m == pytest.approx(50.6, abs=1e-3)
+def test_next_to_the_road_the_nearest_plane_continues() -> None:
+    result = around([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 5.0, 0.0, 4.0)
+    assert (result.status, result.surface_id, result.extent_m) == ("known", 5, 0.0)
+    assert result.elevation_m == pytest.approx(50.6, abs=1e-3)
     assert around([surface(5)], 5.0, 0.0, 20.0).reason == "no_surface"
 
 
-def test_another_level_within_the_radius_leaves_the_road_ambiguous() -> None:
-    assert around(OVERPASS, 1.0, 6.0, 0.0).surface_id == 10
-    assert around(OVERPASS, 6.0, 6.0, 0.0).reason == "levels_ambiguous"
-    assert around(OVERPASS, 6.0, 6.0, 0.0, link_ids=[BRIDGE, GROUND]).reason == "levels_ambiguous"
+@pytest.mark.parametrize(
+    ("radius_m", "east_m", "topology", "reason"),
+    [
+        (1.0, 6.0, {}, "none"),
+        (6.0, 6.0, {}, AMBIGUOUS),
+        (6.0, 6.0, {"link_ids": BOTH}, AMBIGUOUS),
+        # Only levels without candidates are near.
+        (6.0, 60.0, {"link_ids": [BRIDGE]}, AMBIGUOUS),
+        (6.0, 60.0, {"last_surface_id": 21}, AMBIGUOUS),
+    ],
+)
+def test_another_level_within_the_radius_leaves_the_road_ambiguous(
+    radius_m: float, east_m: float, topology: dict[str, Any], reason: str
+) -> None:
+    assert around(OVERPASS, radius_m, east_m, 0.0, **topology).reason == reason
 
 
 @pytest.mark.parametrize("east_m", [6.0, 0.0])
-def test_a_level_that_no_candidate_is_on_is_not_of_the_patch(east_m: float) -> None:
-    found = around(OVERPASS, 6.0, east_m, 0.0, link_ids=[GROUND])
-    assert found.patch is not None
-    assert set(found.patch.surface_id.tolist()) == {10}
-    assert found.elevation_m == pytest.approx(50.0)
+def test_the_patch_omits_a_level_without_candidates(east_m: float) -> None:
+    result = around(OVERPASS, 6.0, east_m, 0.0, link_ids=[GROUND])
+    assert result.patch is not None
+    assert set(result.patch.surface_id.tolist()) == {10}
+    assert result.elevation_m == pytest.approx(50.0)
 
 
-def test_a_point_on_such_a_level_is_beside_the_road() -> None:
-    assert road(OVERPASS, 0.0, 4.0, LINKS, link_ids=[GROUND]).reason == "levels_ambiguous"
-    found = around(OVERPASS, 6.0, 0.0, 4.0, link_ids=[GROUND])
-    assert (found.status, found.surface_id, found.level, found.extent_m) == ("known", 10, 0, 0.0)
-
-
-def test_where_only_such_levels_are_about_the_road_is_not_known() -> None:
-    assert around(OVERPASS, 6.0, 60.0, 0.0, link_ids=[BRIDGE]).reason == "levels_ambiguous"
-    assert around(OVERPASS, 6.0, 60.0, 0.0, last_surface_id=21).reason == "levels_ambiguous"
+def test_a_point_on_a_level_without_candidates_is_next_to_the_road() -> None:
+    assert road(OVERPASS, 0.0, 4.0, LINKS, link_ids=[GROUND]).reason == AMBIGUOUS
+    result = around(OVERPASS, 6.0, 0.0, 4.0, link_ids=[GROUND])
+    assert (result.status, result.surface_id, result.level, result.extent_m) == ("known", 10, 0, 0.0)
 
 
 # -- many points -----------------------------------------------------------------------------------------------------
@@ -427,15 +411,15 @@ def _points(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _assert_each_as_if_alone(columns: SelectedRoads, alone: list[Road]) -> None:
-    assert [REASONS[code] for code in columns.reason] == [found.reason for found in alone]
-    assert columns.known.tolist() == [i for i, found in enumerate(alone) if found.status == "known"]
+    assert [REASONS[code] for code in columns.reason] == [one.reason for one in alone]
+    assert columns.known.tolist() == [i for i, one in enumerate(alone) if one.status == "known"]
     assert not (columns.elsewhere & ~columns.ambiguous).any()
     known = [alone[i] for i in columns.known]
     assert len(known) > 100
-    assert columns.surface_id.tolist() == [found.surface_id for found in known]
-    assert columns.level.tolist() == [found.level for found in known]
+    assert columns.surface_id.tolist() == [one.surface_id for one in known]
+    assert columns.level.tolist() == [one.level for one in known]
     for name in ("elevation_m", "sigma_m", "slope_east", "slope_north", "extent_m"):
-        want = np.array([getattr(found, name) for found in known])
+        want = np.array([getattr(one, name) for one in known])
         assert np.abs(getattr(columns, name) - want).max() < 1e-9, name
 
 
@@ -450,11 +434,11 @@ def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_many_points_each_by_its_own_links_and_last_surface_are_each_as_if_alone(seed: int) -> None:
+def test_many_points_with_links_and_last_surface_each_are_as_if_alone(seed: int) -> None:
     the_map = map_of(*_tangle(seed, CORNER))
     latitude, longitude = _points(seed)
     rng = np.random.default_rng(seed + 200)
-    # Of 5 links and 30 surfaces, with one more that nobody has heard of, and none.
+    # Of 5 links and 30 surfaces, with an unknown one, and none.
     links, last = rng.integers(-1, 7, (len(latitude), 3)), rng.integers(-1, 32, len(latitude))
     links[rng.random(links.shape) < 0.5] = -1
     each = zip(latitude.tolist(), longitude.tolist(), links.tolist(), last.tolist(), strict=True)
@@ -480,4 +464,4 @@ def test_a_release_on_disk_answers_as_the_tables_it_was_made_of(tmp_path: Path) 
     write(tmp_path, OVERPASS, LINKS)
     release = read_release(tmp_path)
     on_disk = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=7)
-    assert on_disk.road(*at(0.0, 0.0), [GROUND]) == overpass(link_ids=[GROUND])
+    assert on_disk.road(*at(0.0, 0.0), [GROUND]) == road(OVERPASS, 0.0, 0.0, LINKS, link_ids=[GROUND])
