@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
-from camber.map_server.road_selection import (
-    KNOWN,
-    LEVELS_AMBIGUOUS,
-    NO_SURFACE,
-    UNDECIDED,
-    RoadArrays,
-)
+from camber.map_server.road_selection import KNOWN, LEVELS_AMBIGUOUS, NO_SURFACE, UNDECIDED, RoadArrays
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.map_server.topology import TIE_M
 from camber.road_map.surface_heights import grid_plane

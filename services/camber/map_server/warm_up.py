@@ -5,10 +5,8 @@ The compiled code is cached on disk. `python -m camber.map_server.warm_up` fills
 
 from __future__ import annotations
 
-import numpy as np
-
 from camber.map_server.elevation import ElevationMap
-from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.road_columns import flat_road
 from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.pose import Road
 
@@ -17,20 +15,7 @@ _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
 
 def warm_up() -> Road:
     """Return the road around a point on a synthetic surface; compiles both paths of the selection."""
-    surfaces = RoadSurfaces(
-        surface_id=np.array([1]),
-        link_id=np.array([1]),
-        level=np.array([0]),
-        latitude_rad=np.array([_LATITUDE_RAD]),
-        longitude_rad=np.array([_LONGITUDE_RAD]),
-        yaw_rad=np.array([0.0]),
-        half_length_m=np.array([10.0]),
-        half_width_m=np.array([2.0]),
-        sigma_m=np.array([0.03]),
-        vehicles=np.array([1]),
-        last_seen_ns=np.array([1_400_000_000 * 10**9]),
-        heights_m=[np.full((2, 2), 50.0)],
-    )
+    surfaces = flat_road(_LATITUDE_RAD, [_LONGITUDE_RAD], seen_ns=1_400_000_000 * 10**9)
     tiles = {(tile.x, tile.y): tile for tile in surface_tiles(surfaces)}
     roads = ElevationMap(lambda x, y: tiles.get((x, y)), lambda x, y: None, datum="WGS84", map_version=1)
     # With a last surface: candidate links alone do not decide, so the second path is compiled.

@@ -12,7 +12,7 @@ from camber.map_update.contribution import OBSERVATION, QUALITIES
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
 from camber.map_update.fusion.votes import merge_votes
-from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.road_columns import flat_road
 
 # Any valid time and place.
 _TIME_NS = 1_400_000_000 * 10**9
@@ -22,20 +22,7 @@ _LONGITUDE_RAD = 2.4
 
 def warm_up() -> Decisions:
     """Fuse two vehicles on two days over two surfaces, twice each; returns the decisions."""
-    surfaces = RoadSurfaces(
-        surface_id=np.array([1, 2]),
-        link_id=np.array([1, 1]),
-        level=np.array([0, 0]),
-        latitude_rad=np.full(2, _LATITUDE_RAD),
-        longitude_rad=_LONGITUDE_RAD + np.array([0.0, 4e-6]),
-        yaw_rad=np.zeros(2),
-        half_length_m=np.full(2, 10.0),
-        half_width_m=np.full(2, 2.0),
-        sigma_m=np.full(2, 0.03),
-        vehicles=np.ones(2, np.int64),
-        last_seen_ns=np.full(2, _TIME_NS),
-        heights_m=[np.full((2, 2), 50.0)] * 2,
-    )
+    surfaces = flat_road(_LATITUDE_RAD, [_LONGITUDE_RAD, _LONGITUDE_RAD + 4e-6], seen_ns=_TIME_NS)
     rows = np.zeros(4, OBSERVATION)
     rows["time_ns"] = _TIME_NS + NS_PER_DAY * np.array([0, 0, 1, 1])
     rows["fix_quality"] = QUALITIES.index("fixed")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,25 +49,21 @@ class ReleaseServer:
     def head(self, *, time_ns: int) -> ReleaseHead:
         """Return the notice of the newest release; ReleaseError if there is none."""
         root = decoded(ReleaseRoot, self._source.root(), self._source.name(None))
-        return ReleaseHead(
-            time_ns=time_ns,
-            region=root.region,
-            map_version=root.map_version,
-            manifest_sha256=root.manifest_sha256,
-        )
+        fields = root.model_dump(include={"region", "map_version", "manifest_sha256"})
+        return ReleaseHead(time_ns=time_ns, **fields)
 
     def root(self, request: MapRootRequest, *, time_ns: int) -> MapRootReply:
         """Return the newest root, unless the client has it."""
+        empty = partial(MapRootReply, time_ns=time_ns, payload=_NOTHING)
         try:
             data = self._source.root()
             root = decoded(ReleaseRoot, data, self._source.name(None))
         except ReleaseError:
-            return MapRootReply(time_ns=time_ns, status="unknown", reason="no release", payload=_NOTHING)
+            return empty(status="unknown", reason="no release")
         if root.region != request.region:
-            reason = f"releases here are of {root.region}"
-            return MapRootReply(time_ns=time_ns, status="unknown", reason=reason, payload=_NOTHING)
+            return empty(status="unknown", reason=f"releases here are of {root.region}")
         if root.manifest_sha256 == request.have_sha256:
-            return MapRootReply(time_ns=time_ns, status="unchanged", payload=_NOTHING)
+            return empty(status="unchanged")
         return MapRootReply(time_ns=time_ns, status="known", payload=np.frombuffer(data, np.uint8))
 
     def blob(self, request: MapBlobRequest, *, time_ns: int) -> MapBlobReply:
@@ -73,13 +71,21 @@ class ReleaseServer:
 
         Compressed without difference if the base blob does not exist here.
         """
+        unknown = partial(
+            MapBlobReply,
+            time_ns=time_ns,
+            status="unknown",
+            payload=_NOTHING,
+            more_bytes=np.zeros(0, np.int32),
+            more_payload=_NOTHING,
+        )
         try:
             data = self._compressed_blob(request.sha256, request.base_sha256)
         except ReleaseError:
-            return _unknown_blob("no such blob", time_ns)
+            return unknown(reason="no such blob")
         parts = -(-len(data) // PART_BYTES)
         if request.part >= parts:
-            return _unknown_blob(f"part {request.part} of {parts}", time_ns)
+            return unknown(reason=f"part {request.part} of {parts}")
         begin = request.part * PART_BYTES
         more = self._more(request, PART_BYTES - len(data)) if parts == 1 else []
         return MapBlobReply(
@@ -115,24 +121,10 @@ class ReleaseServer:
             return uncompressed_blob(blob)
         base: bytes | None = None
         if base_digest is not None:
-            try:
+            with suppress(ReleaseError):  # of a release that was deleted, or of another folder
                 base = self._source.blob(base_digest, None)
-            except ReleaseError:  # of a release that was deleted, or of another folder
-                base = None
         data = self._compressed[key] = compress_blob(blob, base)
         self._size += len(data)
         while self._size > self._kept_bytes and len(self._compressed) > 1:
             self._size -= len(self._compressed.popitem(last=False)[1])
         return data
-
-
-def _unknown_blob(reason: str, time_ns: int) -> MapBlobReply:
-    none = np.zeros(0, np.int32)
-    return MapBlobReply(
-        time_ns=time_ns,
-        status="unknown",
-        reason=reason,
-        payload=_NOTHING,
-        more_bytes=none,
-        more_payload=_NOTHING,
-    )

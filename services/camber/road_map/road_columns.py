@@ -101,6 +101,33 @@ class RoadLinks:
         return len(self.link_id)
 
 
+def rows_of_ids(sorted_id: Integers, wanted: Integers) -> Integers:
+    """Return the rows (k,) of ids in a sorted column (n,); −1 for unknown ids."""
+    if not len(sorted_id):
+        return np.full(wanted.shape, -1)
+    row = np.minimum(np.searchsorted(sorted_id, wanted), len(sorted_id) - 1)
+    return np.where(sorted_id[row] == wanted, row, -1)
+
+
+def flat_road(latitude_rad: float, longitude_rad: Sequence[float], *, seen_ns: int) -> RoadSurfaces:
+    """Return surfaces of 20 m × 4 m at 50 m, of one link and with ids from 1, to warm up compiled code with."""
+    n = len(longitude_rad)
+    return RoadSurfaces(
+        surface_id=np.arange(1, n + 1),
+        link_id=np.ones(n, np.int64),
+        level=np.zeros(n, np.int64),
+        latitude_rad=np.full(n, latitude_rad),
+        longitude_rad=np.array(longitude_rad),
+        yaw_rad=np.zeros(n),
+        half_length_m=np.full(n, 10.0),
+        half_width_m=np.full(n, 2.0),
+        sigma_m=np.full(n, 0.03),
+        vehicles=np.ones(n, np.int64),
+        last_seen_ns=np.full(n, seen_ns),
+        heights_m=[np.full((2, 2), 50.0)] * n,
+    )
+
+
 def _set_columns(table: RoadSurfaces | RoadLinks, name: str, *, ragged: str) -> None:
     """Convert all columns to arrays; ReleaseError for different lengths or values that are not finite."""
     length = None

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north, plane_origins
-from camber.road_map.road_columns import Floats, Integers, RoadSurfaces
+from camber.road_map.road_columns import Floats, Integers, RoadSurfaces, rows_of_ids
 
 
 class SurfaceHeights:
@@ -23,13 +23,9 @@ class SurfaceHeights:
         self._order = np.argsort(surfaces.surface_id, kind="stable")
         self._sorted_id = surfaces.surface_id[self._order]
         self._origin = plane_origins(surfaces.latitude_rad, surfaces.longitude_rad)
+        yaw_rad = surfaces.yaw_rad
         self._shape = np.column_stack(
-            (
-                np.cos(surfaces.yaw_rad),
-                np.sin(surfaces.yaw_rad),
-                surfaces.half_length_m,
-                surfaces.half_width_m,
-            )
+            (np.cos(yaw_rad), np.sin(yaw_rad), surfaces.half_length_m, surfaces.half_width_m)
         )
         shapes = np.array([grid.shape for grid in surfaces.heights_m], np.int64).reshape(-1, 2)
         sizes = shapes[:, 0] * shapes[:, 1]
@@ -41,11 +37,8 @@ class SurfaceHeights:
 
     def rows_of(self, surface_id: ArrayLike) -> Integers:
         """Return the rows (n,) of surfaces; −1 for unknown ids."""
-        wanted = np.asarray(surface_id, np.int64)
-        if not len(self):
-            return np.full(wanted.shape, -1)
-        at = np.minimum(np.searchsorted(self._sorted_id, wanted), len(self) - 1)
-        return np.where(self._sorted_id[at] == wanted, self._order[at], -1)
+        row = rows_of_ids(self._sorted_id, np.asarray(surface_id, np.int64))
+        return np.where(row >= 0, self._order[row], -1) if len(self) else row
 
     def heights_m(
         self, row: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike

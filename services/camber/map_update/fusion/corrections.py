@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.road_map.road_columns import ReleaseError
+from camber.road_map.road_columns import ReleaseError, rows_of_ids
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import SurfaceCorrections
@@ -63,19 +63,11 @@ def normalize(corrections: Corrections, before: Corrections, map_version: int) -
     days = np.maximum(rows["last_seen_ns"], EARLIEST_NS) // NS_PER_DAY
     rows["last_seen_ns"] = np.maximum(days * NS_PER_DAY, EARLIEST_NS)
     rows["since_map_version"] = map_version
-    at = rows_of(before, rows["surface_id"])
+    at = rows_of_ids(before["surface_id"], rows["surface_id"])
     same = np.flatnonzero(at >= 0)
     same = same[np.abs(before["offset_m"][at[same]] - rows["offset_m"][same]) < 0.5 * STEP_M]
     rows["since_map_version"][same] = before["since_map_version"][at[same]]
     return rows
-
-
-def rows_of(corrections: Corrections, surface_id: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rows (n,) of surfaces by id (n,) in sorted corrections; −1 for surfaces without one."""
-    at = np.searchsorted(corrections["surface_id"], surface_id)
-    present = at < len(corrections)
-    present[present] = corrections["surface_id"][at[present]] == surface_id[present]
-    return np.where(present, at, -1)
 
 
 def to_bytes(corrections: Corrections, time_ns: int) -> bytes:

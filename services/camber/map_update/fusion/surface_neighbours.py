@@ -13,7 +13,7 @@ import numpy as np
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.map_update.fusion.votes import Floats, Integers
-from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.road_columns import RoadSurfaces, rows_of_ids
 
 _EARTH_M = 6_378_137.0  # WGS 84, semi-major axis
 _GAP_M = 0.5
@@ -42,10 +42,7 @@ class SurfaceNeighbourhood:
 
     def rows_of(self, surface_id: Integers) -> Integers:
         """Return the rows (k,) of surfaces; −1 for unknown ids."""
-        if len(self.surface_id) == 0:
-            return np.full(len(surface_id), -1)
-        row = np.minimum(np.searchsorted(self.surface_id, surface_id), len(self.surface_id) - 1)
-        return np.where(self.surface_id[row] == surface_id, row, -1)
+        return rows_of_ids(self.surface_id, surface_id)
 
 
 class _Rectangles(NamedTuple):

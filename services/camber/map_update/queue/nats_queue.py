@@ -245,11 +245,24 @@ class QueueReceiver(_Queue):
 
     def acknowledge(self, deliveries: Sequence[QueueDelivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
         """Report the outcomes after the commit; the deliveries are not repeated."""
-        self._run(lambda connection: self._settled(connection, deliveries, outcomes))
+
+        async def work(connection: _NatsConnection) -> None:
+            for delivery, of_delivery in zip(deliveries, outcomes, strict=True):
+                await connection.client.publish(delivery.reply, pack_outcomes(of_delivery))
+                await delivery.message.ack()
+            await asyncio.sleep(0)
+
+        self._run(work)
 
     def redeliver(self, deliveries: Sequence[QueueDelivery]) -> None:
         """Request redelivery in a second, to any worker of the shard: the deliveries could not be stored."""
-        self._run(lambda _: self._refused(deliveries))
+
+        async def work(_: _NatsConnection) -> None:
+            for delivery in deliveries:
+                await delivery.message.nak(delay=_REDELIVER_S)
+            await asyncio.sleep(0)
+
+        self._run(work)
 
     async def _ready(self, connection: _NatsConnection) -> None:
         await super()._ready(connection)
@@ -294,22 +307,6 @@ class QueueReceiver(_Queue):
                 self.damaged += 1
                 await message.term()
         return deliveries
-
-    async def _settled(
-        self,
-        connection: _NatsConnection,
-        deliveries: Sequence[QueueDelivery],
-        outcomes: Sequence[Sequence[Outcome]],
-    ) -> None:
-        for delivery, of_delivery in zip(deliveries, outcomes, strict=True):
-            await connection.client.publish(delivery.reply, pack_outcomes(of_delivery))
-            await delivery.message.ack()
-        await asyncio.sleep(0)
-
-    async def _refused(self, deliveries: Sequence[QueueDelivery]) -> None:
-        for delivery in deliveries:
-            await delivery.message.nak(delay=_REDELIVER_S)
-        await asyncio.sleep(0)
 
 
 def _chunks(items: Sequence[tuple[int, QueuedContribution]]) -> list[list[tuple[int, QueuedContribution]]]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_update.fusion.corrections import CORRECTION, Corrections, rows_of
+from camber.map_update.fusion.corrections import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
 from camber.map_update.fusion.votes import merge_votes
@@ -24,6 +24,7 @@ from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.release.review import ReviewFolder
 from camber.map_update.stores.store import FusionStep, ObservationPage, Store
 from camber.road_map.release_files import ReleaseFolder
+from camber.road_map.road_columns import rows_of_ids
 from camber.schemas.road import ReleaseRoot
 
 _GLOBAL = frozenset({"WGS84", "ITRF2014", "ITRF2020"})
@@ -135,7 +136,7 @@ def corrections_after(before: Corrections, decisions: Decisions) -> Corrections:
     A confirmed height gets a new σ only if it changed notably. All other rows stay.
     """
     rows = decisions.surfaces
-    at = rows_of(before, rows["surface_id"])
+    at = rows_of_ids(before["surface_id"], rows["surface_id"])
     present = at >= 0
     offset_m = np.zeros(len(rows))
     offset_m[present] = before["offset_m"][at[present]]

@@ -18,10 +18,11 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, normalize, rows_of, to_bytes
+from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, normalize, to_bytes
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.road_map.release_writer import StoredBlob, TileKey, write_tiles_and_manifest
+from camber.road_map.road_columns import rows_of_ids
 from camber.road_map.road_tiles import changed_tile, grid_nodes
 from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import Tile
@@ -197,7 +198,7 @@ def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
 
     The tile's time is the latest time at which one of its surfaces was observed.
     """
-    at = rows_of(rows, tile.surface_id)
+    at = rows_of_ids(rows["surface_id"], tile.surface_id)
     surfaces = np.flatnonzero(at >= 0)
     corrections = rows[at[surfaces]]
     nodes, of_surface = grid_nodes(tile, surfaces)
