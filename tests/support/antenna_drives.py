@@ -25,7 +25,7 @@ from camber.simulator.faults.schedule import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Path, Trajectory
-from camber.simulator.simulated_drive import SENSORS, _laid_out
+from camber.simulator.simulated_drive import SENSORS, lay_out
 from camber.simulator.vehicle.body import CAR, VehicleBody
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
@@ -107,7 +107,7 @@ def antenna_drive(
     truth are heard as well, with errors of a size that matching has: a stand-in, no evidence of any matching."""
     scenario = load_scenario(name, [f"seed={seed}", *overrides])
     scenario = scenario.model_copy(update={"faults": (*scenario.faults, *faults)})
-    district, path, trajectory = _laid_out(scenario, CAR)
+    district, path, trajectory = lay_out(scenario, CAR)
     poses = _poses(scenario, district, trajectory)
     return _heard(seed, path, trajectory, poses, attitude=attitude, matches=matches)
 

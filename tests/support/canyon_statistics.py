@@ -145,7 +145,8 @@ def scenario_run(name: str, seed: int, as_shipped: bool) -> tuple[int, int, Solu
         if load_scenario(name).place.heading_deg is not None:
             overrides.append(f"place.heading_deg={rng.uniform(0.0, 360.0):.1f}")
     drive = simulate_drive(load_scenario(name, overrides))
-    rover = [said.rover for said in drive.said if said.rover is not None and len(said.rover.satellite)]
+    epochs = [one.rover for one in drive.outputs if one.rover is not None]
+    rover = [epoch for epoch in epochs if len(epoch.satellite)]
     with tempfile.TemporaryDirectory() as folder:
         found = run_rtklib(
             Path(folder), rover, drive.base, drive.broadcast, drive.district.frame, drive.epoch_ns,

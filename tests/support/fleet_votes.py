@@ -18,15 +18,15 @@ from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.surface_heights import SurfaceHeights
 from camber.simulator.fleet import (
     FleetErrors,
+    FleetTrack,
     FleetVehicle,
-    Track,
     drive_days,
     drive_uploads,
     track_of,
     vehicles_of,
 )
 from camber.simulator.scenario import Scenario, load_scenario
-from camber.simulator.simulated_drive import district_of, drawn_or_none
+from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
 Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ class FleetWorld:
 
     scenario: Scenario
     surfaces: RoadSurfaces
-    tracks: list[Track]
+    tracks: list[FleetTrack]
     changed_roads: dict[int, float]
     true_offset_m: Floats
     """(surfaces,) in rows of `surfaces`: mean along the ways driven; NaN where none goes."""
@@ -73,7 +73,7 @@ class Record:
 def world_of(seed: int, *overrides: str) -> FleetWorld:
     """The district of the scenario `fleet` with this seed, surveyed as the scenario's files are."""
     scenario = load_scenario("fleet", [f"seed={seed}", *overrides])
-    district = district_of(scenario, drawn_or_none(scenario))
+    district = district_of(scenario)
     with tempfile.TemporaryDirectory() as folder:
         write_survey(
             Path(folder), district, scenario.start_ns - SURVEYED_BEFORE_NS, SurveyErrors(clouds=False)

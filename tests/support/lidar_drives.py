@@ -35,10 +35,10 @@ from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory
 from camber.simulator.scene import Path as Way
-from camber.simulator.simulated_drive import SENSORS, district_of, drawn_or_none
+from camber.simulator.simulated_drive import SENSORS, district_of
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
 from camber.simulator.vehicle.body import CAR, VehicleBody
-from camber.simulator.vehicle.lidar import Lidar, LidarFault
+from camber.simulator.vehicle.lidar import LidarFault, SimulatedLidar
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_messages import (
@@ -206,11 +206,18 @@ class LidarDrive:
         """Only these; as many at a time as threads, none kept."""
         track = PoseTrack.of(self.trajectory, self.body, self.body.lidar)
         inside = slice(*np.searchsorted(track.time_ns, (self.start_ns, self.end_ns + 1)).tolist())
-        track = PoseTrack(track.time_ns[inside], track.position_m[inside], track.angles_rad[inside])
+        columns = {name: getattr(track, name)[inside] for name in PoseTrack.__slots__}
         pattern = BEAMS_64 if self.beams == 64 else BEAMS_32
         users = _road_users(self)
         traffic = Traffic.of(users, self.start_ns, self.end_ns) if users else None
-        lidar = Lidar(pattern, track, self.tracer, self.drive_seed, traffic, faults=self.lidar_faults)
+        lidar = SimulatedLidar(
+            pattern=pattern,
+            track=PoseTrack(**columns),
+            tracer=self.tracer,
+            seed=self.drive_seed,
+            traffic=traffic,
+            faults=self.lidar_faults,
+        )
         for scan in lidar.scans(threads, every):
             yield scan.sweep
 
@@ -315,7 +322,7 @@ def _world(scenario: str, seed: int) -> _World:
         settings, district = None, hill_district(seed)
     else:
         settings = load_scenario(scenario, [f"seed={seed}"])
-        district = district_of(settings, drawn_or_none(settings))
+        district = district_of(settings)
     return _World(district, ShapeTracer(district.shapes("drive")), settings)
 
 
@@ -416,7 +423,9 @@ def _road_users(drive: LidarDrive) -> list[RoadUser]:
     ahead = drive.traffic // 2
     users = [
         RoadUser(
-            drive.way, first_m + float(rng.uniform(20.0, 40.0)) + 45.0 * k, float(rng.uniform(9.0, 12.0))
+            path=drive.way,
+            start_m=first_m + float(rng.uniform(20.0, 40.0)) + 45.0 * k,
+            speed_m_s=float(rng.uniform(9.0, 12.0)),
         )
         for k in range(ahead)
     ]
@@ -426,7 +435,8 @@ def _road_users(drive: LidarDrive) -> list[RoadUser]:
         speed = float(rng.uniform(8.0, 12.0))
         row = min(begin + round(at_s * 100.0), len(driven) - 1)
         met_m = first_m + float(driven[row] - driven[begin])
-        users.append(RoadUser(drive.way, met_m + speed * float(at_s), -speed, left_m=-3.5))
+        start_m = met_m + speed * float(at_s)
+        users.append(RoadUser(path=drive.way, start_m=start_m, speed_m_s=-speed, left_m=-3.5))
     return users
 
 

@@ -35,7 +35,7 @@ from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory
-from camber.simulator.simulated_drive import SENSORS, district_of, drawn_or_none
+from camber.simulator.simulated_drive import SENSORS, district_of
 from camber.simulator.vehicle.body import CAR
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.sensor_messages import motion_messages
@@ -106,7 +106,7 @@ class Blind:
 def tunnel_drive(seed: int, *, slip: bool = False, duration_s: float | None = None) -> TunnelDrive:
     """The scenario's drive with this seed."""
     scenario = load_scenario("tunnel-950s", [f"seed={seed}"])
-    district = district_of(scenario, drawn_or_none(scenario))
+    district = district_of(scenario)
     path = district.path()
     faults = _slips(seed, scenario.duration_s) if slip else []
     trajectory = drive(
@@ -249,7 +249,7 @@ def _slips(seed: int, duration_s: float) -> list[VehicleFault]:
     rng = stream(seed, "slips of the tunnel")
     onsets = np.arange(90.0, duration_s - 60.0, 120.0)
     return [
-        VehicleFault("wheel_slip", factor - 1.0, onset, onset + lasts_s)
+        VehicleFault(kind="wheel_slip", amount=factor - 1.0, onset_s=onset, end_s=onset + lasts_s)
         for k, onset in enumerate((onsets + rng.uniform(0.0, 60.0, len(onsets))).tolist())
         for factor, lasts_s in [SLIPS[k % len(SLIPS)]]
     ]

@@ -1,8 +1,8 @@
 """Many vehicles over one district at the level of measurements: what each would upload, without satellites or rays.
 
-What a vehicle says of a road's height is off by its own bias (antenna height, lever arm), by that of the drive (base
+A vehicle's measurement of a road's height is off by its bias (antenna height, lever arm), by that of the drive (base
 station, load), by correlated and white noise of its fixes, and in episodes, or for a whole drive, by wrong fixes. An
-attacker adds a constant of its own. The verdict is that of a height check against the map; epochs that fail it are
+attacker adds a constant. The verdict is that of a height check against the map; epochs that fail it are
 uploaded too.
 """
 
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.uploads import decimal_year
@@ -27,15 +26,13 @@ from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Path
 
-TOLERANCE_M = 0.2
-ROWS = 64
-"""Records of one batch, as a vehicle sends them."""
-_WORDS: tuple[VerdictValue, ...] = get_args(VerdictValue)
+TOLERANCE_M = 0.2  # chosen: six σ of a vehicle's right heights, a quarter of the scale of the wrong ones
+ROWS = 64  # chosen: records of one batch, as a vehicle sends them
 _FIXED = get_args(Quality).index("fixed")
-_CONFIRMED, _ERRONEOUS = _WORDS.index("confirmed"), _WORDS.index("erroneous")
+_CONFIRMED, _ERRONEOUS = (get_args(VerdictValue).index(value) for value in ("confirmed", "erroneous"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FleetErrors:
     """Standard deviations of what a vehicle's road height is off by, and how often its fixes are wrong."""
 
@@ -55,8 +52,8 @@ class FleetErrors:
     """Share of the drives of which every fix is wrong, all by the same."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FleetTrack:
     """A path as a fleet sees it: per sample (n,) the true road's height on the drive day and what the map has there.
 
     `surface_id` is −1 where the map knows no road; there nothing is uploaded.
@@ -78,7 +75,7 @@ class Track:
         return self.step_m * (len(self.road_m) - 1)
 
 
-def track_of(path: Path, origin: LocalFrame, the_map: ElevationMap) -> Track:
+def track_of(path: Path, origin: LocalFrame, the_map: ElevationMap) -> FleetTrack:
     """Look up once, for every sample of the path, which surface of the map it is on, by its link."""
     plane_m = np.column_stack((path.east_m, path.north_m))
     latitude, longitude, _ = origin.geodetic_from_east_north_array(plane_m, path.up_m)
@@ -87,23 +84,23 @@ def track_of(path: Path, origin: LocalFrame, the_map: ElevationMap) -> Track:
     surface_id, map_m = np.full(len(latitude), -1), np.full(len(latitude), np.nan)
     for link in np.unique(path.link_id).tolist():
         rows = np.flatnonzero(path.link_id == link)
-        found = the_map.roads(latitude[rows], longitude[rows], (int(link),))
-        surface_id[rows[found.known]] = found.surface_id
-        map_m[rows[found.known]] = found.elevation_m
-    return Track(
-        path.step_m,
-        latitude,
-        longitude,
-        path.crossfall,
-        left_latitude - latitude,
-        left_longitude - longitude,
-        path.up_m,
-        map_m,
-        surface_id,
+        on_map = the_map.roads(latitude[rows], longitude[rows], (int(link),))
+        surface_id[rows[on_map.known]] = on_map.surface_id
+        map_m[rows[on_map.known]] = on_map.elevation_m
+    return FleetTrack(
+        step_m=path.step_m,
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        crossfall=path.crossfall,
+        across_latitude_rad_m=left_latitude - latitude,
+        across_longitude_rad_m=left_longitude - longitude,
+        road_m=path.up_m,
+        map_m=map_m,
+        surface_id=surface_id,
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FleetVehicle:
     """One vehicle of the fleet and what is true of it."""
 
@@ -113,13 +110,13 @@ class FleetVehicle:
 
 
 def vehicles_of(count: int, attackers: float, errors: FleetErrors, seed: int) -> tuple[FleetVehicle, ...]:
-    """The fleet. Attackers, a share of it, all say the same wrong thing: that is what hurts a mean most."""
+    """The fleet. Attackers, a share of it, all report the same wrong height: that is what hurts a mean most."""
     rng = stream(seed, "fleet vehicles")
     bias_m = rng.normal(0.0, errors.vehicle_m, count)
     attack = np.zeros(count)
     attack[rng.permutation(count)[: round(attackers * count)]] = float(rng.choice([-1.0, 1.0])) * 0.25
     return tuple(
-        FleetVehicle(f"car{number:05d}", float(bias), float(attacks))
+        FleetVehicle(name=f"car{number:05d}", bias_m=float(bias), attack_m=float(attacks))
         for number, (bias, attacks) in enumerate(zip(bias_m, attack, strict=True))
     )
 
@@ -132,7 +129,7 @@ def drive_days(vehicle: FleetVehicle, drives: int, days: int, seed: int) -> list
 
 
 def drive_uploads(
-    track: Track,
+    track: FleetTrack,
     vehicle: FleetVehicle,
     number: int,
     *,
@@ -150,13 +147,9 @@ def drive_uploads(
     speed_m_s = float(np.clip(rng.normal(9.0, 2.0), 3.0, 15.0))
     along_m = rng.uniform(0.0, track.length_m) + speed_m_s * np.cumsum(step_s)
     sample = (along_m % track.length_m / track.step_m).astype(np.int64)
-    correlated = rng.standard_normal((n, 2))
-    sideways_m = (
-        errors.sideways_m * gauss_markov(correlated[:, :1], memory_of(step_s, errors.sideways_s))[:, 0]
-    )
-    noise_m = (
-        errors.correlated_m * gauss_markov(correlated[:, 1:], memory_of(step_s, errors.correlated_s))[:, 0]
-    )
+    white = rng.standard_normal((n, 2))
+    sideways_m = errors.sideways_m * gauss_markov(white[:, :1], memory_of(step_s, errors.sideways_s))[:, 0]
+    noise_m = errors.correlated_m * gauss_markov(white[:, 1:], memory_of(step_s, errors.correlated_s))[:, 0]
     error_m = noise_m + rng.normal(0.0, errors.white_m, n) + rng.normal(0.0, errors.drive_m)
     error_m += vehicle.bias_m + vehicle.attack_m + _wrong_fixes(rng, n, rate_hz, errors)
     if rng.random() < errors.wrong_drives:
@@ -194,9 +187,7 @@ def drive_uploads(
         )
 
 
-def _wrong_fixes(
-    rng: np.random.Generator, n: int, rate_hz: float, errors: FleetErrors
-) -> NDArray[np.float64]:
+def _wrong_fixes(rng: np.random.Generator, n: int, rate_hz: float, errors: FleetErrors) -> Floats:
     """Height errors (n,) of wrong fixes: constant within an episode, zero outside."""
     error_m = np.zeros(n)
     for _ in range(int(rng.poisson(errors.wrong_episodes_per_s * n / rate_hz))):

@@ -1,13 +1,11 @@
-"""Errors that remember: first-order Gauss-Markov processes and switches made of them, columns side by side."""
+"""Errors that remember: first-order Gauss-Markov processes and switches made of them, a column each."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-
-Floats = NDArray[np.float64]
+from camber.simulator.scene import Booleans, Floats
 
 
 def gauss_markov(white: Floats, memory: Floats) -> Floats:
@@ -36,7 +34,7 @@ def memory_of(step: Floats, scale: float) -> Floats:
     return memory
 
 
-def switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> NDArray[np.bool_]:
+def switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> Booleans:
     """States (n, m) that are on for a share (n,) of the time and are drawn anew once a correlation length on average.
 
     `keep`, `draw` (n, m) are uniform in [0, 1); `memory` (n,) is the probability that a state is kept from
@@ -46,7 +44,7 @@ def switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> NDArr
 
 
 @compiled
-def _switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> NDArray[np.bool_]:
+def _switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> Booleans:
     out = np.empty(keep.shape, np.bool_)
     for j in range(keep.shape[1]):
         out[0, j] = draw[0, j] < share[0]

@@ -1,13 +1,13 @@
 """The scenario file of the simulator: where, when, what drives, what is recorded, what goes wrong.
 
-`docs/simulator.md` explains it for people; scenarios that come with Camber are in `scenarios/`.
+`docs/simulator.md` describes it; scenarios that come with Camber are in `scenarios/`.
 """
 
 from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -16,10 +16,10 @@ from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.toml_file import FileError, Overrides, load_toml
 from camber.simulator.faults.schedule import Fault, refused_sum
+from camber.simulator.world.district import KINDS, Kind
 
 _FOLDER = Path(__file__).parent / "scenarios"
 
-DistrictKind = Literal["open-sky", "city", "canyon", "canyons", "overpass", "tunnel"]
 Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
 
 
@@ -29,16 +29,15 @@ class ScenarioError(FileError):
 
 def _without_zone(value: datetime) -> datetime:
     if value.tzinfo is not None:
-        raise PydanticCustomError(
-            "time", "expected a date and time of GPS time, without a zone, such as 2026-03-20T01:30:00"
-        )
+        text = "expected a date and time of GPS time, without a zone, such as 2026-03-20T01:30:00"
+        raise PydanticCustomError("time", text)
     return value
 
 
-class Place(Model):
+class DistrictPlace(Model):
     """The district."""
 
-    kind: DistrictKind = Field(description="one of " + ", ".join(get_args(DistrictKind)))
+    kind: Kind = Field(description="one of " + ", ".join(KINDS))
     latitude_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = Field(
         default=35.17, description="of the district's origin"
     )
@@ -53,7 +52,7 @@ class Place(Model):
     )
     route: Literal["default", "rounds"] = Field(
         default="default",
-        description="way through the district; rounds: in a city, for nine minutes and more",
+        description="path through the district; rounds: in a city, for nine minutes and more",
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
         default=None,
@@ -88,7 +87,7 @@ class Satellites(Model):
     base_distance_m: Annotated[float, Field(ge=100.0, le=20_000.0)] = Field(
         default=3_000.0, description="of the base station, to the north-east"
     )
-    streams: bool = Field(default=True, description="RTCM and UBX streams beside the RINEX files")
+    streams: bool = Field(default=True, description="RTCM and UBX streams with the RINEX files")
 
 
 class Fleet(Model):
@@ -124,7 +123,7 @@ class Scenario(Model):
     )
     duration_s: Seconds = Field(default=120.0, description="of driving")
     vehicle: Literal["car", "robot"] = Field(default="car", description="car or robot")
-    place: Place = Field(description="table with the district")
+    place: DistrictPlace = Field(description="table with the district")
     satellites: Satellites = Field(default=Satellites(), description="table of what is received")
     lidar: Lidar | None = Field(default=None, description="table of the surround sensor")
     fleet: Fleet | None = Field(default=None, description="table of a fleet; then nothing else is made")
@@ -151,13 +150,10 @@ class Scenario(Model):
             "vehicle = 'car': a robot has no springs": self.vehicle == "robot" and kinds & {"changed_load"},
             "no table fleet": self.fleet is not None and kinds,
         }
-        for expected, found in cannot.items():
-            if found:
-                raise PydanticCustomError(
-                    "idle",
-                    "fault {kind} cannot act, expected {expected}",
-                    {"kind": min(found), "expected": expected},
-                )
+        for expected, idle in cannot.items():
+            if idle:
+                text = "fault {kind} cannot act, expected {expected}"
+                raise PydanticCustomError("idle", text, {"kind": min(idle), "expected": expected})
         return self
 
     @model_validator(mode="after")
@@ -171,8 +167,7 @@ class Scenario(Model):
     def start_ns(self) -> int:
         """GPS time of the first epoch."""
         t = self.start
-        calendar = CalendarTime(t.year, t.month, t.day, t.hour, t.minute, t.second, 1000 * t.microsecond)
-        return gps_ns_from_gpst(calendar)
+        return gps_ns_from_gpst(CalendarTime(*t.timetuple()[:6], nanosecond=1000 * t.microsecond))
 
 
 def shipped() -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Motion out of frames: what is missing, old, invalid or beyond its range is None, and the rest in SI units."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,10 +54,12 @@ def readings(seed: int = 2) -> VehicleReadings:
         time_ns = START_NS + np.sort(rng.integers(0, 10_000_000_000, n))
         value = rng.normal(0.0, sigma, n)
         value[rng.random(n) < 0.05] = math.nan
-        return Readings(time_ns, time_ns, value)
+        return Readings(time_ns=time_ns, true_time_ns=time_ns, value=value)
 
+    sizes = {"wheel_speed": 8.0, "yaw_rate": 0.2, "steering": 0.1, "pitch": 0.03, "roll": 0.03}
+    sizes |= {"stroke": 0.1, "ranging": 1.0}
     return VehicleReadings(
-        one(8.0, 50), one(0.2, 50), one(0.1, 20), one(0.03, 20), one(0.03, 20), one(0.1, 20), one(1.0, 20)
+        **{name: one(size, 50 if size in (8.0, 0.2) else 20) for name, size in sizes.items()}
     )
 
 
@@ -99,14 +102,10 @@ def test_what_a_simulated_vehicle_says_on_its_bus_is_its_motion() -> None:
 def _rows(said: VehicleReadings) -> list[dict]:
     """The simulator's gateway, whose message cannot carry NaN: with a number in its place, and back."""
     mark = 6.5
+    columns = {name: getattr(said, name) for name in VehicleReadings.__slots__}
     marked = VehicleReadings(
-        *(
-            Readings(one.time_ns, one.true_time_ns, np.where(np.isnan(one.value), mark, one.value))
-            for one in (
-                said.wheel_speed, said.yaw_rate, said.steering, said.pitch, said.roll, said.ranging, said.ranging,
-            )
-        )
-    )  # fmt: skip
+        **{name: replace(one, value=np.nan_to_num(one.value, nan=mark)) for name, one in columns.items()}
+    )
     return [
         {name: math.nan if value == mark else value for name, value in message.model_dump().items()}
         for message in motion_messages(marked)

@@ -23,7 +23,7 @@ from camber.simulator.output.lidar_packets import (
     velodyne_packets,
 )
 from camber.simulator.scene import Shapes
-from camber.simulator.vehicle.lidar import Lidar
+from camber.simulator.vehicle.lidar import SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.world.ray_tracing import ShapeTracer
 
@@ -46,8 +46,9 @@ def sweeps(kind: str) -> tuple[Sweep, ...]:
     )
     time_ns = START_NS + 10_000_000 * np.arange(42, dtype=np.int64)
     place = np.stack((0.1 * np.arange(42.0), np.zeros(42), np.full(42, 2.0)), axis=1)
-    track = PoseTrack(time_ns, place, np.tile([0.0, 0.0, 0.3], (42, 1)))
-    return tuple(scan.sweep for scan in Lidar(PATTERNS[kind], track, tracer, 1).scans())
+    track = PoseTrack(time_ns=time_ns, position_m=place, angles_rad=np.tile([0.0, 0.0, 0.3], (42, 1)))
+    lidar = SimulatedLidar(pattern=PATTERNS[kind], track=track, tracer=tracer, seed=1)
+    return tuple(scan.sweep for scan in lidar.scans())
 
 
 @cache

@@ -9,7 +9,7 @@ import pytest
 
 from camber.geodesy.se3 import map_from_vehicle
 from camber.simulator.vehicle.body import CAR
-from camber.simulator.vehicle.pose_track import PoseTrack, points_in_world
+from camber.simulator.vehicle.pose_track import PoseTrack
 from support.lidar_drives import HILL, LidarDrive, Tick, lidar_drive, route_duration_s
 
 
@@ -44,7 +44,8 @@ def test_a_sweep_at_the_true_pose_lies_on_the_road_of_the_drive_day() -> None:
     last = sweeps[-1].offset_ns > -2_000_000  # hardly moved since
     placed = points[last] @ world_from_vehicle[:3, :3].T + sensor
     track = PoseTrack.of(drive.trajectory, CAR, CAR.lidar)
-    exact = points_in_world(track, points, sweeps[-1].offset_ns.astype(np.int64), sweeps[-1].time_ns)
+    position, rotation = track.at(sweeps[-1].time_ns + sweeps[-1].offset_ns.astype(np.int64))
+    exact = position + np.einsum("nij,nj->ni", rotation, points)
     np.testing.assert_allclose(placed, exact[last], atol=0.03)
     road = drive.way.surface_m(exact[:, 0], exact[:, 1], np.zeros(len(exact), np.int64))
     near = np.abs(exact[:, 2] - road) < 0.3

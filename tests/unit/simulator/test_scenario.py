@@ -101,7 +101,7 @@ def test_rounds_are_the_citys() -> None:
 
 def test_drives_of_other_seeds_see_the_same_place_where_it_has_a_seed_of_its_own() -> None:
     def heights_of(seed: int, *more: str) -> bytes:
-        district = district_of(load_scenario("city", [f"seed={seed}", *more]), None)
+        district = district_of(load_scenario("city", [f"seed={seed}", *more]))
         return district.path("default").up_m.tobytes()
 
     assert heights_of(1, "place.seed=5") == heights_of(2, "place.seed=5") == heights_of(5)

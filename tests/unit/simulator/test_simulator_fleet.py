@@ -14,8 +14,8 @@ from camber.schemas.fleet import UploadBatch
 from camber.simulator.fleet import (
     ROWS,
     FleetErrors,
+    FleetTrack,
     FleetVehicle,
-    Track,
     drive_days,
     drive_uploads,
     track_of,
@@ -33,7 +33,7 @@ NONE = FleetErrors(
     sideways_m=0.0,
     wrong_episodes_per_s=0.0,
 )
-HONEST = FleetVehicle("car00000", 0.0, 0.0)
+HONEST = FleetVehicle(name="car00000", bias_m=0.0, attack_m=0.0)
 
 
 def straight(raised_m: float = 0.0) -> Path:
@@ -58,7 +58,7 @@ def straight(raised_m: float = 0.0) -> Path:
     )
 
 
-def make_track(raised_m: float = 0.0) -> Track:
+def make_track(raised_m: float = 0.0) -> FleetTrack:
     rows = [
         surface(10 + k, 10.0 + 20.0 * k, link_id=1, heights_m=[[49.94, 50.06], [49.94, 50.06]])
         for k in range(10)
@@ -72,7 +72,7 @@ FLAT, RAISED = make_track(), make_track(0.3)
 
 
 def drive(
-    track: Track = FLAT,
+    track: FleetTrack = FLAT,
     vehicle: FleetVehicle = HONEST,
     errors: FleetErrors = NONE,
     number: int = 0,
@@ -114,7 +114,7 @@ def test_a_changed_road_fails_the_check_and_is_uploaded_all_the_same() -> None:
     assert set(column(batches, "verdict").tolist()) == {2}
 
 
-def test_beside_the_lanes_middle_the_crossfall_counts_and_the_place_moves() -> None:
+def test_off_the_lanes_middle_the_crossfall_counts_and_the_place_moves() -> None:
     batches = drive(errors=replace(NONE, sideways_m=0.5))
     north_m = FRAME.east_north_from_geodetic_array(
         column(batches, "latitude_rad"),
@@ -126,18 +126,11 @@ def test_beside_the_lanes_middle_the_crossfall_counts_and_the_place_moves() -> N
     assert set(column(batches, "verdict").tolist()) == {0}
 
 
-def test_the_errors_are_as_large_as_they_say_and_of_the_vehicle_the_drive_and_the_fix() -> None:
+def test_the_errors_are_as_large_as_set_and_of_the_vehicle_the_drive_and_the_fix() -> None:
     errors = FleetErrors(wrong_episodes_per_s=0.0, sideways_m=0.0)
     fleet = vehicles_of(150, 0.0, errors, seed=5)
-    means = np.array(
-        [
-            [
-                column(drive(vehicle=car, errors=errors, number=k), "road_height_m").mean() - 50.0
-                for k in (0, 1)
-            ]
-            for car in fleet
-        ]
-    )
+    drives = [[drive(vehicle=car, errors=errors, number=k) for k in (0, 1)] for car in fleet]
+    means = np.array([[column(one, "road_height_m").mean() - 50.0 for one in pair] for pair in drives])
     assert np.std([car.bias_m for car in fleet]) == pytest.approx(errors.vehicle_m, rel=0.2)
     of_drives = means - np.array([[car.bias_m] for car in fleet])
     # 600 s hold many stretches of correlated noise: little of it is left in a mean.
@@ -157,7 +150,7 @@ def test_wrong_fixes_come_in_episodes_and_most_of_them_fail_the_check() -> None:
     assert np.array_equal(column(batches, "verdict") == 2, wrong)
 
 
-def test_attackers_are_the_share_that_was_asked_for_and_say_the_same() -> None:
+def test_attackers_are_the_share_that_was_asked_for_and_report_the_same() -> None:
     fleet = vehicles_of(200, 0.1, FleetErrors(), seed=3)
     attacks = [car.attack_m for car in fleet if car.attack_m]
     assert len(attacks) == 20
@@ -177,18 +170,14 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
 
 def test_a_wrong_drive_is_off_by_the_same_throughout_and_as_many_are_as_asked_for() -> None:
     errors = replace(NONE, wrong_drives=0.2)
-    off_m = np.array(
-        [
-            [f(column(drive(errors=errors, number=k), "road_height_m") - 50.0) for f in (np.min, np.max)]
-            for k in range(60)
-        ]
-    )
+    heights = [column(drive(errors=errors, number=k), "road_height_m") - 50.0 for k in range(60)]
+    off_m = np.array([(one.min(), one.max()) for one in heights])
     assert off_m[:, 0] == pytest.approx(off_m[:, 1], abs=1e-9)
     # 60 drives, 12 expected, σ 3.1.
     assert 3 <= np.count_nonzero(np.abs(off_m[:, 0]) > 1e-6) <= 22
 
 
-def test_drives_are_on_days_of_their_own_where_there_are_enough() -> None:
+def test_drives_are_on_different_days_where_there_are_enough() -> None:
     days = [drive_days(car, 3, 21, seed=1) for car in vehicles_of(50, 0.0, FleetErrors(), seed=1)]
     assert all(one == sorted(set(one)) and len(one) == 3 for one in days)
     assert set().union(*days) == set(range(21))

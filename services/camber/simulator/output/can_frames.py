@@ -1,24 +1,22 @@
-"""What a simulated vehicle's sensors say, as frames of its CAN bus, and the DBC file that explains them.
+"""A simulated vehicle's sensor readings as frames of its CAN bus, and the DBC file that describes them.
 
-Made up, but as such buses are: both byte orders, an identifier of 29 bits, the angle of the steering wheel instead of
-the front wheels', pitch positive nose up, and a raw value that means: not known. Each unit sends at its own times.
+Invented, but as such buses are: both byte orders, an identifier of 29 bits, the angle of the steering wheel instead of
+the front wheels', pitch positive nose up, and a raw value that means: not known. Each unit sends at its sampling times.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 from camber.formats.lidar_can.candump import CanFrame
-from camber.formats.lidar_can.dbc import DbcMessage, read_dbc
+from camber.formats.lidar_can.dbc import read_dbc
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.simulator.vehicle.sensor_clock import Readings
 from camber.simulator.vehicle.sensors import VehicleReadings
 
 BUS = "can0"
-STEERING_RATIO = 15.0
-INVALID = -32_768
+STEERING_RATIO = 15.0  # chosen: of a compact car
+INVALID = -32_768  # chosen: the one value of 16 bits that has no positive counterpart
 DBC = """\
 VERSION ""
 
@@ -50,24 +48,16 @@ CM_ SG_ 434 YawRate "positive to the left";
 """
 
 
-@dataclass(frozen=True, slots=True)
-class _Spoken:
-    """`scale`: from what the sensor measures to what the signal says."""
-
-    message: str
-    signal: str
-    scale: float
-
-
-_SPOKEN = {
-    "wheel_speed": _Spoken("Wheels", "Speed", 3.6),
-    "steering": _Spoken("Steering", "WheelAngle", math.degrees(STEERING_RATIO)),
-    "pitch": _Spoken("Attitude_Pitch", "NoseUp", -math.degrees(1.0)),
-    "roll": _Spoken("Attitude_Roll", "LeftUp", math.degrees(1.0)),
-    "stroke": _Spoken("Suspension", "Height", 1000.0),
+_SIGNALS = {
+    "wheel_speed": ("Wheels", "Speed", 3.6),
+    "steering": ("Steering", "WheelAngle", math.degrees(STEERING_RATIO)),
+    "pitch": ("Attitude_Pitch", "NoseUp", -math.degrees(1.0)),
+    "roll": ("Attitude_Roll", "LeftUp", math.degrees(1.0)),
+    "stroke": ("Suspension", "Height", 1000.0),
     # Last: of what comes at the same time it is to be the last, for it makes the motion.
-    "yaw_rate": _Spoken("Dynamics", "YawRate", math.degrees(1.0)),
+    "yaw_rate": ("Dynamics", "YawRate", math.degrees(1.0)),
 }
+"""By reading: message and signal, and the scale from the reading to the signal."""
 SETTINGS = f"""\
 [can]
 source = "candump:can.log"
@@ -93,26 +83,20 @@ def can_frames(readings: VehicleReadings) -> list[CanFrame]:
     """All sensors' frames in the order of their times."""
     messages = read_dbc(DBC, "can.dbc")
     frames: list[tuple[int, CanFrame]] = []
-    for name, spoken in _SPOKEN.items():
-        said: Readings | None = getattr(readings, name)
-        if said is not None:
-            frames += _frames(said, spoken, messages[spoken.message])
-    frames.sort(key=lambda timed: timed[0])
-    return [frame for _, frame in frames]
-
-
-def _frames(said: Readings, spoken: _Spoken, message: DbcMessage) -> Sequence[tuple[int, CanFrame]]:
-    signal = message.signals[spoken.signal]
-    frames = []
-    for time_ns, value in zip(said.time_ns.tolist(), said.value.tolist(), strict=True):
-        raw = INVALID if math.isnan(value) else round(value * spoken.scale / signal.factor)
-        data = signal.placed(max(min(raw, 32_767), INVALID), bytes(message.length_bytes))
-        frame = CanFrame(
-            time_ns=unix_ns_from_gps_ns(time_ns),
-            bus=BUS,
-            identifier=message.identifier,
-            extended=message.extended,
-            data=data,
-        )
-        frames.append((time_ns, frame))
-    return frames
+    for name, (message_name, signal_name, scale) in _SIGNALS.items():
+        one: Readings | None = getattr(readings, name)
+        message = messages[message_name]
+        signal = message.signals[signal_name]
+        pairs = [] if one is None else zip(one.time_ns.tolist(), one.value.tolist(), strict=True)
+        for time_ns, value in pairs:
+            raw = INVALID if math.isnan(value) else round(value * scale / signal.factor)
+            data = signal.placed(max(min(raw, 32_767), INVALID), bytes(message.length_bytes))
+            frame = CanFrame(
+                time_ns=unix_ns_from_gps_ns(time_ns),
+                bus=BUS,
+                identifier=message.identifier,
+                extended=message.extended,
+                data=data,
+            )
+            frames.append((time_ns, frame))
+    return [frame for _, frame in sorted(frames, key=lambda timed: timed[0])]

@@ -4,7 +4,7 @@ rover.obs base.obs brdc.nav     RINEX 3.04
 rover.ubx                       RXM-RAWX, RXM-SFRBX, NAV-PVT, NAV-HPPOSLLH
 base.rtcm                       RTCM 3: 1005, MSM7, ephemerides
 receiver.pos receiver.nmea      what the receiver solved by itself
-receiver_arrivals.csv           when each part of receiver.pos was said, by a clock that is right
+receiver_arrivals.csv           when each part of receiver.pos was sent, by a correct clock
 rover_arrivals.csv              the same for rover.obs
 motion.csv suspension.csv ranging.csv
 sweeps/<time_ns>.pcd            one point cloud a turn
@@ -17,6 +17,7 @@ drive.toml                      the manifest
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,23 +47,21 @@ from camber.simulator.output.drive_manifest import manifest_text
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, pcap_of
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.satellites.orbits import newest_in_use
-from camber.simulator.scene import Floats
+from camber.simulator.scene import Booleans, Floats, Integers
+from camber.simulator.scene import Path as VehiclePath
 from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by_link
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
-from camber.simulator.vehicle.lidar import Lidar, LidarFault, Scan
+from camber.simulator.vehicle.lidar import LidarFault, Scan, SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.vehicle.sensor_messages import (
-    motion_messages,
-    ranging_messages,
-    suspension_messages,
-)
+from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
-GEOID_SEPARATION_M = 37.0
-"""Of NMEA and UBX heights above the sea; about that of Nagoya. Nothing in Camber rests on it."""
-_STATION_ID = 1
-_THREADS = 2
+GEOID_SEPARATION_M = (
+    37.0  # of NMEA and UBX heights above the sea, about that of Nagoya; nothing in Camber rests on it
+)
+_STATION_ID = 1  # chosen
+_THREADS = 2  # chosen: a simulation leaves the other cores alone
 
 
 def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
@@ -117,18 +116,16 @@ def _write_sweeps(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
 
 
 def write_can(folder: Path, drive: SimulatedDrive, packets: str) -> None:
-    """The CAN bus, and what is to be said to `camber sensors`."""
+    """The CAN bus, and settings for `camber sensors`."""
     (folder / "can.log").write_text(candump_text(can_frames(drive.readings)), "ascii")
     (folder / "can.dbc").write_text(DBC, "ascii")
-    ouster = packets == "ouster"
-    if ouster:
+    model, stamps = 'model = "HDL-32E"', "utc_hour"
+    if packets == "ouster":
         (folder / "lidar.json").write_text(ouster_metadata(), "ascii")
-    model = 'model = "ouster"\nmetadata = "lidar.json"' if ouster else 'model = "HDL-32E"'
-    stamps = "tai" if ouster else "utc_hour"
+        model, stamps = 'model = "ouster"\nmetadata = "lidar.json"', "tai"
     lidar = f'[lidar]\nsource = "pcap:lidar.pcap"\n{model}\nstamps = "{stamps}"\n\n'
-    (folder / "sensors.toml").write_bytes(
-        f"# For `camber sensors`, started in this folder.\n{lidar}{SETTINGS}".encode()
-    )
+    text = f"# For `camber sensors`, started in this folder.\n{lidar}{SETTINGS}"
+    (folder / "sensors.toml").write_bytes(text.encode())
 
 
 def parts_of(drive: SimulatedDrive) -> int:
@@ -140,35 +137,40 @@ def parts_of(drive: SimulatedDrive) -> int:
 
 def scans_of(drive: SimulatedDrive) -> Iterator[Scan]:
     """The sweeps of the drive's LiDAR, in order."""
-    settings, scenario = drive.scenario.lidar, drive.scenario
+    settings, scenario, path = drive.scenario.lidar, drive.scenario, drive.path
     assert settings is not None
     end_s = scenario.duration_s
-    faults = tuple(
-        LidarFault(f.onset_s, f.end_s or end_s, blocked_share=f.share)
+    faults = [
+        LidarFault(onset_s=f.onset_s, end_s=f.end_s or end_s, blocked_share=f.share)
         for f in of_kind(scenario.faults, BlockedLidar)
-    ) + tuple(
-        LidarFault(f.onset_s, f.end_s or end_s, road_only=True)
+    ] + [
+        LidarFault(onset_s=f.onset_s, end_s=f.end_s or end_s, road_only=True)
         for f in of_kind(scenario.faults, SymmetricScene)
-    )
+    ]
     track = PoseTrack.of(drive.trajectory, drive.body, drive.body.lidar)
-    traffic = Traffic.of(_road_users(drive, settings.traffic), int(track.time_ns[0]), int(track.time_ns[-1]))
+    users = _road_users(path, settings.traffic)
     pattern = BEAMS_64 if settings.beams == 64 else BEAMS_32
-    if settings.packets is not None:
-        pattern = PATTERNS[settings.packets]
-    lidar = Lidar(pattern, track, drive.tracer, scenario.seed, traffic, faults=faults)
+    lidar = SimulatedLidar(
+        pattern=pattern if settings.packets is None else PATTERNS[settings.packets],
+        track=track,
+        tracer=drive.tracer,
+        seed=scenario.seed,
+        traffic=Traffic.of(users, int(track.time_ns[0]), int(track.time_ns[-1])),
+        faults=tuple(faults),
+    )
     return lidar.scans(_THREADS)
 
 
-def _road_users(drive: SimulatedDrive, count: int) -> list[RoadUser]:
+def _road_users(path: VehiclePath, count: int) -> list[RoadUser]:
     """Every other one comes towards the vehicle in the other lane, the rest drive ahead and do not stop."""
-    length_m = drive.path.step_m * (len(drive.path.east_m) - 1)
+    length_m = path.step_m * (len(path.east_m) - 1)
     users = []
     for k in range(count):
         if k % 2:
-            users.append(RoadUser(drive.path, 40.0 + 60.0 * k, 9.0 + 0.5 * k))
+            users.append(RoadUser(path=path, start_m=40.0 + 60.0 * k, speed_m_s=9.0 + 0.5 * k))
         else:
             start_m = length_m * (k + 1) / (count + 1)
-            users.append(RoadUser(drive.path, start_m, -8.0 - 0.5 * k, left_m=-3.4))
+            users.append(RoadUser(path=path, start_m=start_m, speed_m_s=-8.0 - 0.5 * k, left_m=-3.4))
     return users
 
 
@@ -179,27 +181,21 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
     latitude, longitude, _ = frame.geodetic_from_east_north_array(antenna_m[:, :2], antenna_m[:, 2])
     at_axle = frame.geodetic_from_east_north_array(origin_m[:, :2], origin_m[:, 2])
     states = np.where(drive.fixed, np.where(drive.fix_wrong, "wrong", "right"), "none")
-    since = np.where(drive.fix_wrong, _since(drive.fix_wrong, drive.epoch_ns), np.nan)
     time_s = (drive.epoch_ns - drive.epoch_ns[0]) / 1e9
-    changed_m = np.array([drive.district.changed_roads.get(link, 0.0) for link in t.link_id[rows].tolist()])
-    map_m = np.array([drive.map_offset_m.get(link, 0.0) for link in t.link_id[rows].tolist()])
+    links = t.link_id[rows].tolist()
+
+    def columns(*names: str) -> dict[str, Floats]:
+        return {name: getattr(t, name)[rows].astype(np.float64) for name in names}
+
     more: dict[str, Floats] = {
         "vehicle_latitude_deg": np.degrees(at_axle[0]),
         "vehicle_longitude_deg": np.degrees(at_axle[1]),
         "vehicle_height_m": origin_m[:, 2],
-        "road_height_m": t.road_height_m[rows],
-        "antenna_height_m": t.antenna_height_m[rows],
-        "stroke_m": t.stroke_m[rows],
-        "speed_m_s": t.speed_m_s[rows],
-        "wheel_speed_m_s": t.wheel_speed_m_s[rows],
-        "yaw_rate_rad_s": t.yaw_rate_rad_s[rows],
-        "steering_rad": t.steering_rad[rows],
-        "level": t.level[rows].astype(np.float64),
-        "link_id": t.link_id[rows].astype(np.float64),
-        "link_offset_m": t.link_offset_m[rows],
-        "road_changed_m": changed_m,
-        "map_wrong_m": map_m,
-        "fix_wrong_since_s": since,
+        **columns("road_height_m", "antenna_height_m", "stroke_m", "speed_m_s", "wheel_speed_m_s"),
+        **columns("yaw_rate_rad_s", "steering_rad", "level", "link_id", "link_offset_m"),
+        "road_changed_m": np.array([drive.district.changed_roads.get(link, 0.0) for link in links]),
+        "map_wrong_m": np.array([drive.map_offset_m.get(link, 0.0) for link in links]),
+        "fix_wrong_since_s": np.where(drive.fix_wrong, _since(drive.fix_wrong, drive.epoch_ns), np.nan),
         "fix_integers_wrong": np.where(drive.fixed, drive.solutions.wrong_integers, np.nan),
     }
     for fault in drive.scenario.faults:
@@ -210,20 +206,20 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
             acts = fault.acts(time_s)
         more[name] = np.maximum(more.get(name, np.zeros(len(rows))), acts)
     return TruthTable(
-        drive.epoch_ns,
-        latitude,
-        longitude,
-        antenna_m[:, 2],
-        t.roll_rad[rows],
-        t.pitch_rad[rows],
-        wrap_pi_array(t.yaw_rad[rows]),
-        t.antenna_velocity_m_s[rows],
-        np.array([FIX_STATES.index(state) for state in states.tolist()], np.int8),
-        more,
+        time_ns=drive.epoch_ns,
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=antenna_m[:, 2],
+        roll_rad=t.roll_rad[rows],
+        pitch_rad=t.pitch_rad[rows],
+        yaw_rad=wrap_pi_array(t.yaw_rad[rows]),
+        velocity_enu_m_s=t.antenna_velocity_m_s[rows],
+        fix_state=np.array([FIX_STATES.index(state) for state in states.tolist()], np.int8),
+        more=more,
     )
 
 
-def _since(on: np.ndarray, time_ns: np.ndarray) -> Floats:
+def _since(on: Booleans, time_ns: Integers) -> Floats:
     """Seconds since the first epoch at which each stretch of `on` began."""
     begins = np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))
     place = np.searchsorted(begins, np.arange(len(on)), side="right") - 1
@@ -233,21 +229,15 @@ def _since(on: np.ndarray, time_ns: np.ndarray) -> Floats:
 
 def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     rover = [
-        (said.arrival_ns, said.rover)
-        for said in drive.said
-        if said.rover is not None and len(said.rover.satellite)
+        (one.arrival_ns, one.rover)
+        for one in drive.outputs
+        if one.rover is not None and len(one.rover.satellite)
     ]
-    latitude, longitude, height = _geodetic(drive, drive.trajectory.antenna_m[0])
-    near = ecef_from_geodetic_scalar(latitude, longitude, height)
+    near = ecef_from_geodetic_scalar(*_geodetic(drive, drive.trajectory.antenna_m[0]))
     station = StationHeader(marker="rover", position_ecef_m=near)
-    header, *blocks = observation_lines([epoch for _, epoch in rover], station)
-    _write_said(
-        folder,
-        "rover",
-        "obs",
-        header.encode("ascii"),
-        [(arrival_ns, block.encode("ascii")) for (arrival_ns, _), block in zip(rover, blocks, strict=True)],
-    )
+    lines = [line.encode("ascii") for line in observation_lines([epoch for _, epoch in rover], station)]
+    times_ns = [arrival_ns for arrival_ns, _ in rover]
+    _write_with_arrivals(folder / "rover.obs", lines[0], times_ns, lines[1:])
     with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
         station = StationHeader(marker="base", position_ecef_m=base_ecef_m(drive), marker_type="GEODETIC")
         file.writelines(observation_lines(list(drive.base), station))
@@ -255,12 +245,13 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     (folder / "brdc.nav").write_text(navigation_text(drive.broadcast, [ionosphere]), "ascii", newline="\n")
 
 
-def _write_said(folder: Path, name: str, ending: str, header: bytes, parts: list[tuple[int, bytes]]) -> None:
-    """A file of the receiver, and when each of its parts was said; the header with the first."""
-    (folder / f"{name}.{ending}").write_bytes(b"".join((header, *(payload for _, payload in parts))))
-    lengths = [(arrival_ns, len(payload)) for arrival_ns, payload in parts]
-    first_ns, first = lengths[0]
-    write_arrivals(folder / f"{name}_arrivals.csv", [(first_ns, len(header) + first), *lengths[1:]])
+def _write_with_arrivals(path: Path, header: bytes, times_ns: list[int], parts: list[bytes]) -> None:
+    """A file of the receiver, and when each of its parts was sent; the header with the first."""
+    path.write_bytes(b"".join((header, *parts)))
+    lengths = [len(part) for part in parts]
+    lengths[0] += len(header)
+    arrivals = list(zip(times_ns, lengths, strict=True))
+    write_arrivals(path.with_name(f"{path.stem}_arrivals.csv"), arrivals)
 
 
 def base_ecef_m(drive: SimulatedDrive, offset_m: Floats | None = None) -> tuple[float, float, float]:
@@ -276,44 +267,40 @@ def _geodetic(drive: SimulatedDrive, place_m: Floats) -> tuple[float, float, flo
 
 
 def _write_solutions(folder: Path, drive: SimulatedDrive) -> None:
-    solutions = [(said.arrival_ns, said.solution) for said in drive.said if said.solution is not None]
-    lines = [(arrival_ns, format_pos_line(solution)) for arrival_ns, solution in solutions]
-    _write_said(folder, "receiver", "pos", format_pos_header(), lines)
-    sentences = (
-        part
-        for _, solution in solutions
-        for part in (
-            format_gga(solution, geoid_separation_m=GEOID_SEPARATION_M),
-            format_rmc(solution),
-            format_gst(solution) if solution.covariance_enu_m2 is not None else b"",
-        )
-    )
+    times_ns, lines, sentences = list[int](), list[bytes](), list[bytes]()
+    for one in drive.outputs:
+        if one.solution is not None:
+            times_ns.append(one.arrival_ns)
+            lines.append(format_pos_line(one.solution))
+            sentences.append(format_gga(one.solution, geoid_separation_m=GEOID_SEPARATION_M))
+            sentences.append(format_rmc(one.solution))
+            if one.solution.covariance_enu_m2 is not None:
+                sentences.append(format_gst(one.solution))
+    _write_with_arrivals(folder / "receiver.pos", format_pos_header(), times_ns, lines)
     (folder / "receiver.nmea").write_bytes(b"".join(sentences))
 
 
 def _ubx(drive: SimulatedDrive) -> Iterator[bytes]:
     """In the order of time: raw measurements, subframes as they end, the receiver's position."""
-    seen = {int(s) for said in drive.said if said.rover is not None for s in np.unique(said.rover.satellite)}
+    epochs = [one.rover for one in drive.outputs if one.rover is not None]
+    seen = {int(s) for epoch in epochs for s in np.unique(epoch.satellite)}
     begin_ns, end_ns = int(drive.epoch_ns[0]), int(drive.epoch_ns[-1])
-    waiting = sorted(
-        (
-            part
-            for ephemeris in _newest(drive)
-            if ephemeris.satellite in seen
-            for part in subframes_between(ephemeris, begin_ns, end_ns)
-        ),
-        key=lambda part: (part.end_ns, part.satellite),
-    )
-    place, counts = 0, PhaseAlignment()
-    for said in drive.said:
-        if said.rover is not None:
-            while place < len(waiting) and waiting[place].end_ns <= said.rover.time_ns:
-                yield format_subframe(waiting[place])
-                place += 1
-            yield format_raw_measurements(counts.align_to_pseudorange(said.rover))
-        if said.solution is not None:
-            yield format_position_velocity_time(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
-            yield format_high_precision_position(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
+    subframes = [
+        subframe
+        for ephemeris in _newest(drive)
+        if ephemeris.satellite in seen
+        for subframe in subframes_between(ephemeris, begin_ns, end_ns)
+    ]
+    waiting = deque(sorted(subframes, key=lambda one: (one.end_ns, one.satellite)))
+    counts = PhaseAlignment()
+    for one in drive.outputs:
+        if one.rover is not None:
+            while waiting and waiting[0].end_ns <= one.rover.time_ns:
+                yield format_subframe(waiting.popleft())
+            yield format_raw_measurements(counts.align_to_pseudorange(one.rover))
+        if one.solution is not None:
+            yield format_position_velocity_time(one.solution, geoid_separation_m=GEOID_SEPARATION_M)
+            yield format_high_precision_position(one.solution, geoid_separation_m=GEOID_SEPARATION_M)
 
 
 def _rtcm(drive: SimulatedDrive) -> Iterator[bytes]:
@@ -321,12 +308,12 @@ def _rtcm(drive: SimulatedDrive) -> Iterator[bytes]:
     offsets = dict(zip(drive.epoch_ns.tolist(), drive.base_offset_m, strict=True))
     ephemerides = [frame for ephemeris in _newest(drive) for frame in format_ephemeris(ephemeris)]
     every = 10 * drive.scenario.satellites.rate_hz
-    said_m: tuple[float, ...] = ()
+    sent_m: tuple[float, ...] = ()
     counts = PhaseAlignment()
     for number, epoch in enumerate(drive.base):
         place_m = base_ecef_m(drive, offsets[epoch.time_ns])
-        if number % every == 0 or place_m != said_m:
-            said_m = place_m
+        if number % every == 0 or place_m != sent_m:
+            sent_m = place_m
             yield format_reference_station(place_m, station_id=_STATION_ID)
         if number % every == 0:
             yield from ephemerides

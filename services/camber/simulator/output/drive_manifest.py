@@ -13,6 +13,7 @@ from camber.simulator.random_streams import stream
 from camber.simulator.simulated_drive import SimulatedDrive
 from camber.simulator.vehicle.body import Point, VehicleBody
 
+# Chosen: a parking place known from a map.
 _POSE_SIGMA_M = 1.0
 _YAW_SIGMA_RAD = math.radians(2.0)
 
@@ -49,14 +50,14 @@ ephemerides = ["brdc.nav"]
         '[truth]\nformat = "camber"\nfile = "truth.csv"\n',
         *(
             f"[lever_arms.{name}]\nx_m = {x}\ny_m = {y}\nz_m = {z:.6g}\n"
-            for name, (x, y, z) in _places(body).items()
+            for name, (x, y, z) in _lever_arms(body).items()
         ),
         *(
             f'[[kills]]\nservice = "{fault.service}"\nat_s = {fault.onset_s}\n'
             for fault in of_kind(scenario.faults, DroppedProcess)
         ),
-        _antenna_height(drive),
-        # No input is made up; the table also says how long the vehicle is.
+        _antenna_height(body),
+        # No input is synthesised; the table also says how long the vehicle is.
         f"[surrogates]\nwheelbase_m = {body.wheelbase_m}\n",
         _initial_pose(drive),
     ]
@@ -68,27 +69,26 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _places(body: VehicleBody) -> dict[str, Point]:
-    places = {"antenna": body.antenna, "lidar": body.lidar, "wheel": body.wheel, "ranging": body.ranging}
+def _lever_arms(body: VehicleBody) -> dict[str, Point]:
+    arms = {"antenna": body.antenna, "lidar": body.lidar, "wheel": body.wheel, "ranging": body.ranging}
     if body.suspension is not None:
-        places["suspension"] = (*body.stroke_point, body.tyre_radius_m + body.suspension.stroke_m)
-    return places
+        arms["suspension"] = (*body.stroke_point, body.tyre_radius_m + body.suspension.stroke_m)
+    return arms
 
 
-def _antenna_height(drive: SimulatedDrive) -> str:
-    """All that was measured of the vehicle, so that the ways can be compared; the way itself: as H names it first."""
-    body = drive.body
-    way = "fixed" if body.suspension_to_antenna_m is None else "stroke"
-    said = (
-        f'[antenna_height]\nway = "{way}"\nheight_m = {body.antenna[2]}\nsigma_m = 0.01\n'
-        f"beam_azimuth_deg = {math.degrees(body.ranging_azimuth_rad):.6g}\n"
-    )
-    if body.suspension_to_antenna_m is not None:
-        said += (
-            f"suspension_to_antenna_m = {body.suspension_to_antenna_m:.6f}\n"
-            f"tyre_radius_m = {body.tyre_radius_m}\n"
-        )
-    return said
+def _antenna_height(body: VehicleBody) -> str:
+    """All that was measured of the vehicle, so that the methods can be compared; stroke first, where there is one."""
+    h_ba_m = body.suspension_to_antenna_m
+    lines = [
+        "[antenna_height]",
+        f'way = "{"fixed" if h_ba_m is None else "stroke"}"',
+        f"height_m = {body.antenna[2]}",
+        "sigma_m = 0.01",
+        f"beam_azimuth_deg = {math.degrees(body.ranging_azimuth_rad):.6g}",
+    ]
+    if h_ba_m is not None:
+        lines += [f"suspension_to_antenna_m = {h_ba_m:.6f}", f"tyre_radius_m = {body.tyre_radius_m}"]
+    return "\n".join([*lines, ""])
 
 
 def _initial_pose(drive: SimulatedDrive) -> str:

@@ -12,36 +12,27 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from camber.formats.drive.recording import Recorder
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import read_release
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import encode
 from camber.simulator.fleet import FleetErrors, FleetVehicle, drive_days, drive_uploads, track_of, vehicles_of
 from camber.simulator.scenario import Scenario
-from camber.simulator.simulated_drive import district_of, drawn_or_none
+from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
-
-_DAY_NS = 86_400 * 1_000_000_000
 
 
 def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
     """Write all of it, naming each vehicle when its uploads are written. OSError where a file cannot be."""
     fleet = scenario.fleet
     assert fleet is not None
-    district = district_of(scenario, drawn_or_none(scenario))
-    write_survey(
-        folder / "map",
-        district,
-        scenario.start_ns - SURVEYED_BEFORE_NS,
-        SurveyErrors(clouds=False),
-    )
+    district = district_of(scenario)
+    surveyed_ns = scenario.start_ns - SURVEYED_BEFORE_NS
+    write_survey(folder / "map", district, surveyed_ns, SurveyErrors(clouds=False))
     release = read_release(folder / "map")
-    the_map = ElevationMap(
-        release.surface_tile,
-        release.link_tile,
-        datum=DATUM,
-        map_version=release.manifest.map_version,
-    )
+    version = release.manifest.map_version
+    the_map = ElevationMap(release.surface_tile, release.link_tile, datum=DATUM, map_version=version)
     errors = FleetErrors(wrong_drives=fleet.wrong_drives)
     tracks = [track_of(district.path(name), district.frame, the_map) for name in district.layout.routes]
     vehicles = vehicles_of(fleet.vehicles, fleet.attackers, errors, scenario.seed)
@@ -55,19 +46,18 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
                     tracks[(nth + number) % len(tracks)],
                     vehicle,
                     number,
-                    start_ns=scenario.start_ns + day * _DAY_NS,
+                    start_ns=scenario.start_ns + day * NS_PER_DAY,
                     duration_s=scenario.duration_s,
                     rate_hz=fleet.rate_hz,
-                    map_version=release.manifest.map_version,
+                    map_version=version,
                     errors=errors,
                     seed=scenario.seed,
                 ):
                     data = encode(batch, source=vehicle.name, sequence=sequence)
                     sequence += 1
-                    # Nobody's wall clock has seen it: the recorder's time is that of the measurement.
-                    recorder.add(
-                        channel.name, data, key=channel.key_for(vehicle.name), arrival_ns=batch.time_ns
-                    )
+                    # No wall clock was involved: the recorder's time is that of the measurement.
+                    key = channel.key_for(vehicle.name)
+                    recorder.add(channel.name, data, key=key, arrival_ns=batch.time_ns)
             yield vehicle.name
         if recorder.problem is not None:
             raise OSError(recorder.problem)

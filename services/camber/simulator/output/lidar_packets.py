@@ -23,9 +23,9 @@ SENSOR_ADDRESS, MACHINE_ADDRESS = "192.168.1.201", "192.168.1.100"
 VELODYNE_PORT, OUSTER_PORT = 2368, 7502
 _UNDER_WAY_NS = 50_000  # from a packet's last measurement to the recording machine
 _MODEL = velodyne.MODELS["HDL-32E"]
-_FIRING_NS = 46_080
-_COLUMNS = 2170
-_BEAMS = 32
+_FIRING_NS = 46_080  # HDL-32E user's manual: 32 beams and a pause
+_COLUMNS = 2170  # firings of a turn of 0.1 s
+_BEAMS = 32  # of an HDL-32E
 
 HDL_32E = BeamPattern(
     name="hdl-32e",
@@ -47,17 +47,18 @@ OS1_64 = BeamPattern(
     range_step_m=0.001,
 )
 PATTERNS = {"velodyne": HDL_32E, "ouster": OS1_64}
+SESSION = 7  # chosen
 PROFILE = "RNG19_RFL8_SIG16_NIR16"
-SERIAL = 122_113_000_001
-_TAI_AHEAD_NS = 19 * NS_PER_SECOND
+SERIAL = 122_113_000_001  # chosen: as long as real ones
+_TAI_AHEAD_NS = 19 * NS_PER_SECOND  # of GPS time, a constant
 
 
 def pcap_of(sweeps: Iterable[Sweep], kind: str) -> Iterator[bytes]:
     """A recording of the network, piece by piece: the packets of sweeps that follow one another without a gap."""
     yield pcap_header()
-    port = VELODYNE_PORT if kind == "velodyne" else OUSTER_PORT
-    packets = velodyne_packets(sweeps) if kind == "velodyne" else ouster_packets(sweeps)
-    for number, (last_ns, payload) in enumerate(packets):
+    is_velodyne = kind == "velodyne"
+    port, packets_of = (VELODYNE_PORT, velodyne_packets) if is_velodyne else (OUSTER_PORT, ouster_packets)
+    for number, (last_ns, payload) in enumerate(packets_of(sweeps)):
         time_ns = unix_ns_from_gps_ns(last_ns + _UNDER_WAY_NS)
         yield pcap_frames(
             Datagram(time_ns=time_ns, source=SENSOR_ADDRESS, port=port, payload=payload),
@@ -103,7 +104,7 @@ def _velodyne_packet(firings: list[tuple[int, int, Any]]) -> tuple[int, bytes]:
     return firings[-1][0] + _FIRING_NS, packet.tobytes()
 
 
-def ouster_packets(sweeps: Iterable[Sweep], session: int = 7) -> Iterator[tuple[int, bytes]]:
+def ouster_packets(sweeps: Iterable[Sweep]) -> Iterator[tuple[int, bytes]]:
     """GPS time of the last measurement, and the packet. Its clock counts TAI, as one that PTP has set."""
     ray_ns = OS1_64.offsets_ns().reshape(OS1_64.columns, -1)[:, 0]
     elevation = np.radians(OS1_64.elevation_deg)
@@ -121,7 +122,7 @@ def ouster_packets(sweeps: Iterable[Sweep], session: int = 7) -> Iterator[tuple[
             rows = slice(first, first + COLUMNS_OF_PACKET)
             packet = np.zeros((), packet_type)
             packet["type"], packet["frame"] = ouster.LIDAR_PACKET, frame & 0xFFFF
-            packet["session"] = list(session.to_bytes(3, "little"))
+            packet["session"] = list(SESSION.to_bytes(3, "little"))
             packet["serial"] = list(SERIAL.to_bytes(5, "little"))
             time_ns = sweep.time_ns + ray_ns[rows]
             columns = packet["columns"]
@@ -133,12 +134,12 @@ def ouster_packets(sweeps: Iterable[Sweep], session: int = 7) -> Iterator[tuple[
 
 
 def ouster_metadata() -> str:
-    """What the simulated OS1-64 says of itself; its beams begin in its middle."""
+    """The simulated OS1-64's description; its beams begin in its middle."""
     identity = np.eye(4)
     turned = np.diag([-1.0, -1.0, 1.0, 1.0])
     half_column_deg = 180.0 / OS1_64.columns
-    said = {
-        "sensor_info": {"prod_line": "OS-1-64", "prod_sn": str(SERIAL), "initialization_id": 7},
+    metadata = {
+        "sensor_info": {"prod_line": "OS-1-64", "prod_sn": str(SERIAL), "initialization_id": SESSION},
         "config_params": {"lidar_mode": "1024x10", "timestamp_mode": "TIME_FROM_PTP_1588"},
         "lidar_data_format": {
             "columns_per_frame": OS1_64.columns,
@@ -157,4 +158,4 @@ def ouster_metadata() -> str:
         "imu_intrinsics": {"imu_to_sensor_transform": identity.reshape(-1).tolist()},
         "lidar_intrinsics": {"lidar_to_sensor_transform": turned.reshape(-1).tolist()},
     }
-    return json.dumps(said, indent=1) + "\n"
+    return json.dumps(metadata, indent=1) + "\n"

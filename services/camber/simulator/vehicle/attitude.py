@@ -26,19 +26,14 @@ def turned(rotation: Floats, point: tuple[float, float, float]) -> Floats:
     return moved
 
 
-def angular_velocity(
-    pitch_rad: Floats, yaw_rad: Floats, roll_rate: Floats, pitch_rate: Floats, yaw_rate: Floats
-) -> Floats:
-    """ω in world axes [rad/s] (n, 3) of the rates of the three angles: about up, the turned y, the body's x."""
+def angular_velocity(pitch_rad: Floats, yaw_rad: Floats, rates: tuple[Floats, Floats, Floats]) -> Floats:
+    """ω in world axes [rad/s] (n, 3) of the rates of roll, pitch, yaw: about the body's x, the turned y, up."""
+    roll_rate, pitch_rate, yaw_rate = rates
     sp, cp = np.sin(pitch_rad), np.cos(pitch_rad)
     sy, cy = np.sin(yaw_rad), np.cos(yaw_rad)
-    return np.column_stack(
-        (
-            -sy * pitch_rate + cy * cp * roll_rate,
-            cy * pitch_rate + sy * cp * roll_rate,
-            yaw_rate - sp * roll_rate,
-        )
-    )
+    east = -sy * pitch_rate + cy * cp * roll_rate
+    north = cy * pitch_rate + sy * cp * roll_rate
+    return np.column_stack((east, north, yaw_rate - sp * roll_rate))
 
 
 def body_yaw_rate(

@@ -1,9 +1,9 @@
-"""A vehicle's own idea of how it is tilted: an inertial unit's pitch and roll against gravity.
+"""A vehicle's measured tilt: an inertial unit's pitch and roll against gravity.
 
 Such a unit takes gravity for what is left of the measured force after it has subtracted how the vehicle speeds up and
-turns, as far as it knows that, and trusts its rate sensors for the seconds in between. So a share of the vehicle's own
+turns, as far as it knows that, and trusts its rate sensors for the seconds in between. So a share of the vehicle's
 acceleration, averaged over its filter's time, stands in its angles: speeding up looks like a nose that is up, a curve
-to the left like a left side that is up. Beside that its levelling is off by a constant, which wanders with the
+to the left like a left side that is up. Besides, its levelling is off by a constant, which wanders with the
 temperature, and there is noise.
 """
 
@@ -21,12 +21,11 @@ from camber.simulator.scene import Floats, Integers, Trajectory
 from camber.simulator.vehicle.body import GRAVITY_M_S2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeSensor:
     """Of the ordinary sort in a series vehicle. `leaking_share` of an acceleration that lasts longer than `leaking_s`
     is taken for gravity."""
 
-    rate_hz: float = 50.0
     bias_sigma_rad: float = math.radians(0.2)
     wander_sigma_rad: float = math.radians(0.1)
     wander_s: float = 20.0
@@ -49,12 +48,8 @@ def attitude_errors(
         bias = sensor.bias_sigma_rad * float(stream(seed, f"{name} bias").standard_normal())
         wander = gauss_markov(stream(seed, f"{name} wander").standard_normal((len(true_ns), 1)), memory)[:, 0]
         noise = stream(seed, f"{name} noise").standard_normal(len(true_ns))
-        errors.append(
-            bias
-            + sensor.wander_sigma_rad * wander
-            + sensor.noise_rad * noise
-            + np.interp(asked_s, known_s, leak)
-        )
+        leaked = np.interp(asked_s, known_s, leak)
+        errors.append(bias + sensor.wander_sigma_rad * wander + sensor.noise_rad * noise + leaked)
     return errors[0], errors[1]
 
 

@@ -1,4 +1,4 @@
-"""Which way the beams of a rotating LiDAR look, and when.
+"""Where the beams of a rotating LiDAR look, and when.
 
 The elevations are those that the makers of two common sensors print in their data sheets: 64 beams in two blocks (32
 from +2° every ⅓°, 32 from −8.83° every ½°), and 32 beams from +10.67° to −30.67° every 4/3°.
@@ -13,11 +13,12 @@ import numpy as np
 from camber.simulator.scene import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BeamPattern:
-    """A rotating sensor. It turns clockwise seen from above, each turn beginning behind the vehicle; all beams fire one
-    after the other during `firing_share` of a column, in the order of `elevation_deg`, `azimuth_deg` off the column.
-    `up_m`: how far above the sensor's origin the beams begin; nothing: none is.
+    """A rotating sensor. It turns clockwise seen from above, each turn beginning at the vehicle's back.
+
+    All beams fire one after the other during `firing_share` of a column, in the order of `elevation_deg`, `azimuth_deg`
+    off the column. `up_m`: how far above the sensor's origin the beams begin; nothing: none is.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What a simulated vehicle is: where things are on it, and how its body stands on its wheels.
+"""What a simulated vehicle is: where things are on it, and how its body rests on its wheels.
 
 Points are in the vehicle frame (x forward, y left, z up, origin on the road below the middle of the rear axle) of
 the vehicle at rest on flat road, with its nominal tyres and no load.
@@ -11,7 +11,12 @@ from dataclasses import dataclass
 
 Point = tuple[float, float, float]
 
-GRAVITY_M_S2 = 9.80665
+GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
+
+
+def minus(a: Point, b: Point) -> Point:
+    """From b to a."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +32,8 @@ class Mode:
         return 2.0 * math.pi * self.natural_frequency_hz
 
 
-@dataclass(frozen=True, slots=True)
-class Suspension:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Springs:
     """How the body moves on its springs, and what a load does to it.
 
     `dive_rad_s2_m`: pitch (nose down positive) for each m/s² of specific force *backwards*, so braking
@@ -46,16 +51,16 @@ class Suspension:
     nose_up_rad_kg: float
     tyre_shrinking_m_kg: float
     stroke_m: float
-    """Stroke height `h_s` of H (1) at rest: the top of the suspension above the wheel's centre."""
+    """Stroke height `h_s` of JP7707657B2 eq. (1) at rest: the top of the suspension above the wheel's centre."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleBody:
     """One vehicle. `suspension` None: the body is rigid on its wheels, and there is no stroke.
 
     `lidar` and `ranging` are those sensors' origins, axes parallel to the vehicle's; `wheel` is the point whose
     forward speed the wheel sensors give. The ranging beam leaves at `ranging_azimuth_rad` (counter-clockwise from x)
-    and `ranging_angle_rad` below the vehicle's horizontal, θ of H (6).
+    and `ranging_angle_rad` below the vehicle's horizontal, θ of JP7707657B2 eq. (6).
     """
 
     name: str
@@ -68,7 +73,7 @@ class VehicleBody:
     ranging: Point
     ranging_azimuth_rad: float
     ranging_angle_rad: float
-    suspension: Suspension | None
+    suspension: Springs | None
 
     @property
     def stroke_point(self) -> tuple[float, float]:
@@ -78,15 +83,10 @@ class VehicleBody:
 
     @property
     def suspension_to_antenna_m(self) -> float | None:
-        """`h_ba` of H (1), as measured at rest: h_a − h_s − h_t. None for a rigid body."""
+        """`h_ba` of JP7707657B2 eq. (1), as measured at rest: h_a − h_s − h_t. None for a rigid body."""
         if self.suspension is None:
             return None
         return self.antenna[2] - self.suspension.stroke_m - self.tyre_radius_m
-
-    @property
-    def sensor_to_antenna_m(self) -> float:
-        """`h_sa` of H (7): the antenna above the ranging sensor."""
-        return self.antenna[2] - self.ranging[2]
 
 
 CAR = VehicleBody(
@@ -101,7 +101,7 @@ CAR = VehicleBody(
     ranging_azimuth_rad=math.pi,
     ranging_angle_rad=math.radians(70.0),
     # 1.3 Hz and 0.3 are common for passenger cars; 1.5° of pitch and 4° of roll at 1 g; 100 kg sink it by 10 mm.
-    suspension=Suspension(
+    suspension=Springs(
         heave=Mode(1.3, 0.30),
         pitch=Mode(1.5, 0.30),
         roll=Mode(1.7, 0.25),
@@ -128,4 +128,4 @@ ROBOT = VehicleBody(
     ranging_angle_rad=math.radians(75.0),
     suspension=None,
 )
-"""A delivery robot without springs: its antenna's height is fixed (H, fifth way)."""
+"""A delivery robot without springs: its antenna's height is fixed."""

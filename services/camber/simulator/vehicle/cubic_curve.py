@@ -11,7 +11,7 @@ from camber.compiled.decorator import compiled
 from camber.simulator.scene import Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CubicCurve:
     """Cubic spline of k columns over ascending distances (n,); value (n, k) and second derivative (n, k) at each.
 
@@ -27,7 +27,8 @@ class CubicCurve:
         """Raises ValueError for fewer than four points, or distances that do not ascend."""
         if len(distance_m) < 4 or not bool((np.diff(distance_m) > 0.0).all()):
             raise ValueError(f"a curve needs four points at ascending distances, got {len(distance_m)}")
-        return cls(distance_m, value, _second_derivatives(distance_m, np.ascontiguousarray(value)))
+        second = _second_derivatives(distance_m, np.ascontiguousarray(value))
+        return cls(distance_m=distance_m, value=value, second=second)
 
     def at(self, distance_m: Floats) -> tuple[Floats, Floats, Floats]:
         """Value, first and second derivative (m, k) at distances (m,), which are clipped to the curve."""

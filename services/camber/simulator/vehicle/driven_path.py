@@ -1,4 +1,4 @@
-"""A path as a smooth curve with the road beside it: where a vehicle is after so many metres, and what it stands on."""
+"""A path as a smooth curve with the road around it: where a vehicle is after so many metres, and what it rests on."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from camber.simulator.scene import Floats, Integers, Path
 from camber.simulator.vehicle.attitude import rotations
 from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.cubic_curve import CubicCurve
-from camber.simulator.vehicle.roughness import Roughness
 
 _CONTACT_STEPS = 3  # each shrinks the error by about grade × unevenness
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class DrivenPath:
     """`curve`: east, north, up of the rear axle's middle over the distance driven (in space, not in the plane)."""
 
     path: Path
@@ -29,9 +28,8 @@ class Way:
         points = np.column_stack((path.east_m, path.north_m, path.up_m))
         chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
         half_turn = 0.5 * np.diff(path.yaw_rad)
-        return cls(
-            path, CubicCurve.through(np.append(0.0, np.cumsum(chord / np.sinc(half_turn / np.pi))), points)
-        )
+        distance_m = np.append(0.0, np.cumsum(chord / np.sinc(half_turn / np.pi)))
+        return cls(path, CubicCurve.through(distance_m, points))
 
     @property
     def distance_m(self) -> Floats:
@@ -49,10 +47,8 @@ class Way:
         near = self.path.yaw_rad[self.sample_at(distance_m)]
         across = np.cos(near) * first[:, 1] - np.sin(near) * first[:, 0]
         ahead = np.cos(near) * first[:, 0] + np.sin(near) * first[:, 1]
-        turn = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / (
-            first[:, 0] ** 2 + first[:, 1] ** 2
-        )
-        return near + np.arctan2(across, ahead), turn
+        turn = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        return near + np.arctan2(across, ahead), turn / (first[:, 0] ** 2 + first[:, 1] ** 2)
 
     def road_m(self, east_m: Floats, north_m: Floats, distance_m: Floats) -> Floats:
         """Height of the road's surface (m,) at points near the path after `distance_m`.
@@ -69,35 +65,25 @@ class Way:
         return np.where(np.isfinite(surface), surface, plane)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Contact:
-    """What the four wheels stand on after each distance: the heights of the rear axle's middle and of the middle
-    between the axles (both of the road), pitch and roll of the plane, as one curve of four columns in that order."""
+def contact_curve(driven: DrivenPath, body: VehicleBody) -> CubicCurve:
+    """What the four wheels rest on after each distance, four columns: the heights of the rear axle's middle and of the
+    middle between the axles (both of the road), pitch and roll of the plane.
 
-    curve: CubicCurve
-
-    @classmethod
-    def of(cls, way: Way, body: VehicleBody, roughness: Roughness | None = None) -> Self:
-        """From the road under the wheels' contact points, where the tilted vehicle has them, and its texture."""
-        path, s = way.path, way.distance_m
-        length, half = body.wheelbase_m, 0.5 * body.track_m
-        wheels = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [length, half, 0.0], [length, -half, 0.0]])
-        yaw, _ = way.yaw_and_turn(s)
-        pitch = -np.arctan(path.grade)
-        roll = np.arctan(path.crossfall * np.cos(pitch))
-        texture = np.zeros((4, len(s)))
-        if roughness is not None:
-            for w in range(4):
-                side = "left" if wheels[w, 1] > 0.0 else "right"
-                texture[w] = roughness.height_m(side, s + wheels[w, 0])
-        rear = front = np.zeros(len(s))
-        for _ in range(_CONTACT_STEPS):
-            at = rotations(roll, pitch, yaw) @ wheels.T
-            east, north = path.east_m[:, None] + at[:, 0], path.north_m[:, None] + at[:, 1]
-            smooth = [way.road_m(east[:, w], north[:, w], s + wheels[w, 0]) for w in range(4)]
-            height = smooth + texture
-            rear, front = 0.5 * (height[0] + height[1]), 0.5 * (height[2] + height[3])
-            across = 0.5 * (height[0] - height[1] + height[2] - height[3])
-            pitch = np.arcsin(np.clip((rear - front) / length, -0.9, 0.9))
-            roll = np.arcsin(np.clip(across / (2.0 * half * np.cos(pitch)), -0.9, 0.9))
-        return cls(CubicCurve.through(s, np.column_stack((rear, 0.5 * (rear + front), pitch, roll))))
+    From the road under the wheels' contact points, where the tilted vehicle has them.
+    """
+    path, s = driven.path, driven.distance_m
+    length, half = body.wheelbase_m, 0.5 * body.track_m
+    wheels = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [length, half, 0.0], [length, -half, 0.0]])
+    yaw, _ = driven.yaw_and_turn(s)
+    pitch = -np.arctan(path.grade)
+    roll = np.arctan(path.crossfall * np.cos(pitch))
+    rear = front = np.zeros(len(s))
+    for _ in range(_CONTACT_STEPS):
+        at = rotations(roll, pitch, yaw) @ wheels.T
+        east, north = path.east_m[:, None] + at[:, 0], path.north_m[:, None] + at[:, 1]
+        height = [driven.road_m(east[:, w], north[:, w], s + wheels[w, 0]) for w in range(4)]
+        rear, front = 0.5 * (height[0] + height[1]), 0.5 * (height[2] + height[3])
+        across = 0.5 * (height[0] - height[1] + height[2] - height[3])
+        pitch = np.arcsin(np.clip((rear - front) / length, -0.9, 0.9))
+        roll = np.arcsin(np.clip(across / (2.0 * half * np.cos(pitch)), -0.9, 0.9))
+    return CubicCurve.through(s, np.column_stack((rear, 0.5 * (rear + front), pitch, roll)))

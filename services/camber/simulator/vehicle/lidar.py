@@ -12,7 +12,8 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,9 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled_without_gil
 from camber.schemas.lidar import Sweep
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Floats, Integers, Material
+from camber.simulator.scene import Booleans, Floats, Hits, Integers, Material
 from camber.simulator.vehicle.beam_pattern import BeamPattern
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.vehicle.sensor_clock import SensorClock
 from camber.simulator.vehicle.traffic import Traffic, hit_traffic
 from camber.simulator.world.ray_tracing import ShapeTracer
 
@@ -37,16 +37,15 @@ _REFLECTIVITY = {
     Material.TUNNEL: 0.30,
 }
 """Of near infrared: common values for asphalt, soil, plaster, galvanised steel, leaves, paint, concrete."""
+# Panes send back nothing: chosen for houses and vehicles, as the share of what is lost on other surfaces.
 _LOST_SHARE = {Material.BUILDING: 0.06, Material.VEHICLE: 0.12}
-"""Panes send back nothing; other surfaces lose `_LOST_ELSEWHERE`."""
 _LOST_ELSEWHERE = 0.005
-_NOTICED = 0.05
-"""σ₀: asphalt is seen to some 45 m by a sensor 2 m above it."""
-_INTO_CROWN_M = 0.25
-_FULL_INTENSITY = 255.0
+_NOTICED = 0.05  # σ₀, chosen: asphalt is seen to some 45 m by a sensor 2 m above it
+_INTO_CROWN_M = 0.25  # chosen: mean depth between leaves
+_FULL_INTENSITY = 255.0  # a byte, as in common sensors
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LidarFault:
     """From `onset_s` to `end_s` after the first sweep's beginning: `blocked_share` of the directions, from straight
     ahead to both sides, see nothing; `road_only`: what is not road or ground sends nothing back."""
@@ -57,17 +56,16 @@ class LidarFault:
     road_only: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scan:
-    """A sweep as the sensor gives it, with the truth: of what each point is (points,), and when the turn ended."""
+    """A sweep as the sensor gives it, with the truth: of what each point is (points,)."""
 
     sweep: Sweep
     material: NDArray[np.int8]
-    true_end_ns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lidar:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SimulatedLidar:
     """A sensor on a vehicle in a place. `track` is that of the sensor's origin."""
 
     pattern: BeamPattern
@@ -75,7 +73,6 @@ class Lidar:
     tracer: ShapeTracer
     seed: int
     traffic: Traffic | None = None
-    clock: SensorClock = field(default_factory=SensorClock)
     faults: tuple[LidarFault, ...] = ()
 
     def scans(self, threads: int = 2, every: int = 1) -> Iterator[Scan]:
@@ -100,46 +97,34 @@ class Lidar:
         pattern = self.pattern
         begin_ns = start_ns + turn * pattern.turn_ns
         end_ns = begin_ns + pattern.turn_ns
-        origin, direction = beams.rays(self.track, begin_ns)
-        hits = self.tracer.first_hits(origin, direction, pattern.most_range_m)
-        distance, material, normal = hits.distance_m.copy(), hits.material.copy(), hits.normal.copy()
+        columns = pattern.columns
+        ticks = np.rint(np.arange(columns + 1) * (pattern.turn_ns / columns)).astype(np.int64)
+        position, rotation = self.track.at(begin_ns + ticks)
+        rays = _rays(beams, columns, position, np.ascontiguousarray(rotation))
+        hits = self.tracer.first_hits(*rays, pattern.most_range_m)
         if self.traffic is not None:
-            first, last, half = self.traffic.near(begin_ns, end_ns, origin[0], pattern.most_range_m)
-            hit_traffic(origin, direction, beams.share, first, last, half, distance, material, normal)
+            boxes = self.traffic.near(begin_ns, end_ns, rays[0][0], pattern.most_range_m)
+            hit_traffic(rays, beams.share, boxes, hits)
         passed_s = (begin_ns - start_ns) / 1e9
         for fault in self.faults:
             if fault.onset_s <= passed_s < fault.end_s:
-                distance[_unseen(fault, beams.in_sensor, material)] = np.inf
+                hits.distance_m[_unseen(fault, beams.in_sensor, hits.material)] = np.inf
         rng = stream(self.seed, f"{pattern.name} sweep {turn}")
         chance = rng.random((2, pattern.rays), np.float32)
         noise = rng.standard_normal(pattern.rays, np.float32)
+        limits = pattern.least_range_m, pattern.most_range_m, pattern.range_sigma_m, pattern.range_step_m
         points, intensity, offset, kind = _measured(
-            beams.in_sensor,
-            beams.up_m,
-            beams.offset_ns,
-            direction,
-            distance,
-            material,
-            normal,
-            chance,
-            noise,
-            _SURFACES,
-            np.array(
-                [pattern.least_range_m, pattern.most_range_m, pattern.range_sigma_m, pattern.range_step_m]
-            ),
+            beams, rays[1], hits, draws=(chance, noise), limits=limits
         )
-        stamp_ns = int(self.clock.stamps(np.array([end_ns]), start_ns)[0])
         sweep = Sweep(
-            time_ns=stamp_ns, sensor=pattern.name, points_m=points, intensity=intensity, offset_ns=offset
+            time_ns=end_ns, sensor=pattern.name, points_m=points, intensity=intensity, offset_ns=offset
         )
-        return Scan(sweep, kind, end_ns)
+        return Scan(sweep=sweep, material=kind)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Beams:
+class _Beams(NamedTuple):
     """What is the same in every turn: directions in the sensor (rays, 3), offsets and shares of the turn (rays,)."""
 
-    pattern: BeamPattern
     in_sensor: Floats
     offset_ns: NDArray[np.int32]
     share: Floats
@@ -149,21 +134,12 @@ class _Beams:
     def of(cls, pattern: BeamPattern) -> _Beams:
         offset = pattern.offsets_ns()
         share = 1.0 + offset / pattern.turn_ns
-        return cls(pattern, pattern.directions(), offset.astype(np.int32), share, pattern.rises_m())
-
-    def rays(self, track: PoseTrack, begin_ns: int) -> tuple[Floats, Floats]:
-        """Origins and directions (rays, 3) in the world, for the turn that begins then."""
-        columns = self.pattern.columns
-        ticks = np.rint(np.arange(columns + 1) * (self.pattern.turn_ns / columns)).astype(np.int64)
-        position, rotation = track.at(begin_ns + ticks)
-        return _rays(
-            self.in_sensor, self.up_m, self.share * columns, position, np.ascontiguousarray(rotation)
-        )
+        return cls(pattern.directions(), offset.astype(np.int32), share, pattern.rises_m())
 
 
-def _unseen(fault: LidarFault, in_sensor: Floats, material: Integers) -> NDArray[np.bool_]:
+def _unseen(fault: LidarFault, in_sensor: Floats, material: Integers) -> Booleans:
     azimuth = np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0]))
-    unseen: NDArray[np.bool_] = azimuth < fault.blocked_share * np.pi
+    unseen: Booleans = azimuth < fault.blocked_share * np.pi
     if fault.road_only:
         unseen |= (material != Material.ROAD) & (material != Material.GROUND)
     return unseen
@@ -173,10 +149,9 @@ _SURFACES = np.array([(_REFLECTIVITY[m], _LOST_SHARE.get(m, _LOST_ELSEWHERE)) fo
 
 
 @compiled_without_gil
-def _rays(
-    in_sensor: Floats, up_m: Floats, column_share: Floats, position: Floats, rotation: Floats
-) -> tuple[Floats, Floats]:
+def _rays(beams: _Beams, columns: int, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
     """Each ray from the pose between the columns' (columns + 1,), elements changing evenly within 56 µs."""
+    in_sensor, column_share, up_m = beams.in_sensor, beams.share * columns, beams.up_m
     origin, direction = np.empty_like(in_sensor), np.empty_like(in_sensor)
     for i in range(len(in_sensor)):
         k = min(int(column_share[i]), len(position) - 2)
@@ -194,25 +169,24 @@ def _rays(
 
 @compiled_without_gil
 def _measured(
-    in_sensor: Floats,
-    up_m: Floats,
-    offset_ns: NDArray[np.int32],
+    beams: _Beams,
     direction: Floats,
-    distance: Floats,
-    material: Integers,
-    normal: Floats,
-    chance: NDArray[np.float32],
-    noise: NDArray[np.float32],
-    surfaces: Floats,
-    limits: Floats,
+    hits: Hits,
+    draws: tuple[NDArray[np.float32], NDArray[np.float32]],
+    limits: tuple[float, float, float, float],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int8]]:
-    """What comes back and is noticed: points (m, 3) in the sensor, intensity, offsets, materials (m,)."""
+    """What comes back and is noticed: points (m, 3) in the sensor, intensity, offsets, materials (m,).
+
+    `draws`: chances (2, rays) and noise (rays,); `limits`: least and most range, σ and step of the range.
+    """
+    distance, material, normal = hits
+    chance, noise = draws
+    least, most, sigma, step = limits
     n = len(distance)
     points = np.empty((n, 3), np.float32)
     intensity = np.empty(n, np.float32)
     offset = np.empty(n, np.int32)
     kind = np.empty(n, np.int8)
-    least, most, sigma, step = limits[0], limits[1], limits[2], limits[3]
     m = 0
     for i in range(n):
         r = distance[i]
@@ -221,7 +195,7 @@ def _measured(
         facing = 0.0
         for j in range(3):
             facing += normal[i, j] * direction[i, j]
-        reflectivity, lost = surfaces[material[i], 0], surfaces[material[i], 1]
+        reflectivity, lost = _SURFACES[material[i], 0], _SURFACES[material[i], 1]
         returned = reflectivity * abs(facing)
         signal = returned * (100.0 / r) ** 2
         if chance[0, i] >= (1.0 - lost) * (1.0 - math.exp(-signal / _NOTICED)):
@@ -230,11 +204,11 @@ def _measured(
             r -= _INTO_CROWN_M * abs(facing) * math.log(1.0 - chance[1, i])  # no further than it is thick
         r = step * round((r + sigma * noise[i]) / step)
         for j in range(3):
-            points[m, j] = r * in_sensor[i, j]
-        points[m, 2] += up_m[i]
+            points[m, j] = r * beams.in_sensor[i, j]
+        points[m, 2] += beams.up_m[i]
         brightness = returned * (0.95 + 0.1 * chance[1, i])
         intensity[m] = math.floor(_FULL_INTENSITY * min(brightness, 1.0))
-        offset[m] = offset_ns[i]
+        offset[m] = beams.offset_ns[i]
         kind[m] = material[i]
         m += 1
     return points[:m].copy(), intensity[:m].copy(), offset[:m].copy(), kind[:m].copy()

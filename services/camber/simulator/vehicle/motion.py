@@ -5,11 +5,10 @@ model asks for on the tilted road, tan δ = L κ with κ the path's curvature wi
 that of the four wheels' contact points. The body turns about the middle between the wheels' centres: heave, pitch and
 roll follow the road and the specific force through springs and dampers (`springs`), or exactly for a rigid body.
 
-H (1), h_a = h_ba + h_s + h_t, is exact at rest on flat road. Otherwise it is off by no more than
+JP7707657B2 eq. (1), h_a = h_ba + h_s + h_t, is exact at rest on flat road. Otherwise it is off by no more than
 |θ| |Δx| + |φ| |Δy| + (h_a + |l|) (1 / cos α − 1 + (|θ| + |φ|)² + |sin α| (|θ| + |φ|)) + the road's unevenness, with
 θ, φ the body's pitch and roll against the road, (Δx, Δy) from the suspension to the antenna, l from the body's centre
-to the antenna and α the road's steepest slope: a height is upright, a stroke is square to the road. `roughness` counts
-as unevenness: the wheels stand on the road's texture, its height is without.
+to the antenna and α the road's steepest slope: a height is upright, a stroke is square to the road.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ import numpy as np
 from camber.simulator.faults.vehicle_faults import VehicleFault, effect
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations, turned
-from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
-from camber.simulator.vehicle.driven_path import Contact, Way
-from camber.simulator.vehicle.roughness import Roughness
-from camber.simulator.vehicle.speed_profile import Driver, Progress, progress_along
+from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody, minus
+from camber.simulator.vehicle.cubic_curve import CubicCurve
+from camber.simulator.vehicle.driven_path import DrivenPath, contact_curve
+from camber.simulator.vehicle.speed_profile import DRIVER, progress_along
 from camber.simulator.vehicle.suspension import sprung
 
-INNER_RATE_HZ = 100
-_INNER_STEP_NS = 1_000_000_000 // INNER_RATE_HZ
+RATE_HZ = 100  # chosen: the body swings at less than 2 Hz
+_STEP_NS = 1_000_000_000 // RATE_HZ
 
 
 def drive(
@@ -37,30 +36,50 @@ def drive(
     body: VehicleBody,
     *,
     start_ns: int,
-    rate_hz: int = INNER_RATE_HZ,
-    driver: Driver | None = None,
     faults: Sequence[VehicleFault] = (),
     duration_s: float | None = None,
-    roughness: Roughness | None = None,
 ) -> Trajectory:
     """The motion along a path from rest to rest, at even steps from `start_ns`.
 
-    `duration_s`: cut there, or stand at the end until then. `roughness`: texture under the wheels, beyond the surface
-    of the path; None: there is none. Raises ValueError for a rate that does not divide 100 Hz
-    and for paths that cannot be driven (fewer than four samples, standing still, no speed allowed).
+    `duration_s`: cut there, or stand at the end until then. Raises ValueError for paths that cannot be driven (fewer
+    than four samples, standing still, no speed allowed).
     """
-    if not 1 <= rate_hz <= INNER_RATE_HZ or INNER_RATE_HZ % rate_hz:
-        raise ValueError(f"rate_hz is {rate_hz}, expected a divisor of {INNER_RATE_HZ}")
-    way = Way.along(path)
-    progress = _progress(way, driver or Driver())
+    driven = DrivenPath.along(path)
+    _, turn = driven.yaw_and_turn(driven.distance_m)
+    limits = path.speed_limit_m_s, path.stop_s
+    progress = progress_along(driven.distance_m, turn, limits, DRIVER)
     lasts_s = progress.duration_s if duration_s is None else duration_s
-    time_s = np.arange(int(np.floor(lasts_s * INNER_RATE_HZ + 1e-6)) + 1) / INNER_RATE_HZ
-    rolling = _rolling(way, Contact.of(way, body, roughness), progress, time_s)
+    time_s = np.arange(int(np.floor(lasts_s * RATE_HZ + 1e-6)) + 1) / RATE_HZ
+    rolling = _rolling(driven, contact_curve(driven, body), *progress.at(time_s))
     posed = _posed(body, rolling, faults, time_s)
-    return _trajectory(way, body, rolling, posed, faults, time_s, start_ns, INNER_RATE_HZ // rate_hz)
+    antenna = rolling.origin_m + posed.antenna_m
+    road = driven.road_m(antenna[:, 0], antenna[:, 1], rolling.distance_m + body.antenna[0])
+    slip, _ = effect(faults, "wheel_slip", time_s)
+    point_speed = rolling.speed_m_s * (1.0 - rolling.curvature * body.wheel[1])
+    sample = driven.sample_at(rolling.distance_m)
+    return Trajectory(
+        time_ns=start_ns + _STEP_NS * np.arange(len(time_s), dtype=np.int64),
+        origin_m=rolling.origin_m,
+        roll_rad=posed.roll_rad,
+        pitch_rad=posed.pitch_rad,
+        yaw_rad=rolling.yaw_rad,
+        velocity_m_s=rolling.velocity_m_s,
+        speed_m_s=rolling.speed_m_s,
+        wheel_speed_m_s=point_speed * (1.0 + slip) * body.tyre_radius_m / (body.tyre_radius_m + posed.tyre_m),
+        yaw_rate_rad_s=rolling.yaw_rate_rad_s,
+        steering_rad=np.arctan(body.wheelbase_m * rolling.curvature),
+        stroke_m=posed.stroke_m,
+        antenna_m=antenna,
+        antenna_velocity_m_s=rolling.velocity_m_s + posed.antenna_velocity_m_s,
+        antenna_height_m=antenna[:, 2] - road,
+        road_height_m=road,
+        level=path.level[sample],
+        link_id=path.link_id[sample],
+        link_offset_m=path.link_offset_m[sample],
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Rolling:
     """The wheels' motion: columns (n,) or (n, 3). `road`: rear height, middle height, pitch, roll, and their rates."""
 
@@ -76,7 +95,7 @@ class _Rolling:
     curvature: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Posed:
     """The body's: angles and rates (n,), rotation (n, 3, 3), positions against the rear axle's middle on the road."""
 
@@ -88,31 +107,23 @@ class _Posed:
     tyre_m: Floats
 
 
-def _progress(way: Way, driver: Driver) -> Progress:
-    _, turn = way.yaw_and_turn(way.distance_m)
-    path = way.path
-    return progress_along(way.distance_m, turn, path.speed_limit_m_s, path.stop_s, driver)
-
-
-def _rolling(way: Way, contact: Contact, progress: Progress, time_s: Floats) -> _Rolling:
-    s, v, a = progress.at(time_s)
-    origin, first, second = way.curve.at(s)
-    yaw, turn = way.yaw_and_turn(s)
-    stretch = np.linalg.norm(first, axis=1)  # one, but for the spline's own error
-    road, road_slope, _ = contact.curve.at(s)
-    along = a * stretch + v**2 * np.einsum("ij,ij->i", first, second) / stretch
+def _rolling(driven: DrivenPath, contact: CubicCurve, s: Floats, v: Floats, a: Floats) -> _Rolling:
+    origin, first, second = driven.curve.at(s)
+    yaw, turn = driven.yaw_and_turn(s)
+    stretch = np.linalg.norm(first, axis=1)  # one, but for the spline's error
+    road, road_slope, _ = contact.at(s)
     normal_turn = body_yaw_rate(road[:, 3], road[:, 2], road_slope[:, 2], turn)
     return _Rolling(
-        s,
-        origin,
-        first * v[:, None],
-        stretch * v,
-        along,
-        yaw,
-        turn * v,
-        road,
-        road_slope * v[:, None],
-        normal_turn / stretch,
+        distance_m=s,
+        origin_m=origin,
+        velocity_m_s=first * v[:, None],
+        speed_m_s=stretch * v,
+        acceleration_m_s2=a * stretch + v**2 * np.einsum("ij,ij->i", first, second) / stretch,
+        yaw_rad=yaw,
+        yaw_rate_rad_s=turn * v,
+        road=road,
+        road_rate=road_slope * v[:, None],
+        curvature=normal_turn / stretch,
     )
 
 
@@ -128,7 +139,7 @@ def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[VehicleFault],
     else:
         radius = radius - springs.tyre_shrinking_m_kg * load
         radius_rate = radius_rate - springs.tyre_shrinking_m_kg * load_rate
-        step_s = 1.0 / INNER_RATE_HZ
+        step_s = 1.0 / RATE_HZ
         # Specific force: what the springs feel, on a slope the weight as well.
         forward = rolling.acceleration_m_s2 - GRAVITY_M_S2 * np.sin(road_pitch)
         left = rolling.speed_m_s * rolling.yaw_rate_rad_s + GRAVITY_M_S2 * np.sin(road_roll)
@@ -142,63 +153,25 @@ def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[VehicleFault],
     on_body = rotations(roll, pitch, rolling.yaw_rad)
     centre = (0.5 * body.wheelbase_m, 0.0, body.tyre_radius_m)
     arm = turned(on_road, centre)
-    lever = turned(on_body, _minus(body.antenna, centre))
+    lever = turned(on_body, minus(body.antenna, centre))
     upright = np.array([0.0, 0.0, 1.0])
     # The rear axle's middle on the wheels' plane may be off the path's height where the road is not plane.
     lift = (road[:, 0] - rolling.origin_m[:, 2] + radius + heave)[:, None]
     lift_rate = (rate[:, 0] - rolling.velocity_m_s[:, 2] + radius_rate + heave_rate)[:, None]
-    turning_road = angular_velocity(
-        road_pitch, rolling.yaw_rad, rate[:, 3], rate[:, 2], rolling.yaw_rate_rad_s
-    )
-    turning = angular_velocity(pitch, rolling.yaw_rad, roll_rate, pitch_rate, rolling.yaw_rate_rad_s)
+    yaw, yaw_rate = rolling.yaw_rad, rolling.yaw_rate_rad_s
+    turning_road = angular_velocity(road_pitch, yaw, (rate[:, 3], rate[:, 2], yaw_rate))
+    turning = angular_velocity(pitch, yaw, (roll_rate, pitch_rate, yaw_rate))
     velocity = lift_rate * upright + np.cross(turning_road, arm) + np.cross(turning, lever)
     stroke = np.full(len(time_s), np.nan)
     if springs is not None:
         top = (*body.stroke_point, body.tyre_radius_m + springs.stroke_m)
-        above = heave[:, None] * upright + turned(on_body, _minus(top, centre))
+        above = heave[:, None] * upright + turned(on_body, minus(top, centre))
         stroke = np.einsum("nk,nk->n", on_road[:, :, 2], above)
-    return _Posed(roll, pitch, lift * upright + arm + lever, velocity, stroke, radius)
-
-
-def _trajectory(
-    way: Way,
-    body: VehicleBody,
-    rolling: _Rolling,
-    posed: _Posed,
-    faults: Sequence[VehicleFault],
-    time_s: Floats,
-    start_ns: int,
-    every: int,
-) -> Trajectory:
-    pick = slice(None, None, every)
-    antenna = (rolling.origin_m + posed.antenna_m)[pick]
-    road = way.road_m(antenna[:, 0], antenna[:, 1], rolling.distance_m[pick] + body.antenna[0])
-    slip, _ = effect(faults, "wheel_slip", time_s)
-    point_speed = rolling.speed_m_s * (1.0 - rolling.curvature * body.wheel[1])
-    wheel = point_speed * (1.0 + slip) * body.tyre_radius_m / (body.tyre_radius_m + posed.tyre_m)
-    sample = way.sample_at(rolling.distance_m[pick])
-    path = way.path
-    return Trajectory(
-        time_ns=start_ns + _INNER_STEP_NS * np.arange(len(time_s), dtype=np.int64)[pick],
-        origin_m=rolling.origin_m[pick],
-        roll_rad=posed.roll_rad[pick],
-        pitch_rad=posed.pitch_rad[pick],
-        yaw_rad=rolling.yaw_rad[pick],
-        velocity_m_s=rolling.velocity_m_s[pick],
-        speed_m_s=rolling.speed_m_s[pick],
-        wheel_speed_m_s=wheel[pick],
-        yaw_rate_rad_s=rolling.yaw_rate_rad_s[pick],
-        steering_rad=np.arctan(body.wheelbase_m * rolling.curvature[pick]),
-        stroke_m=posed.stroke_m[pick],
-        antenna_m=antenna,
-        antenna_velocity_m_s=(rolling.velocity_m_s + posed.antenna_velocity_m_s)[pick],
-        antenna_height_m=antenna[:, 2] - road,
-        road_height_m=road,
-        level=path.level[sample],
-        link_id=path.link_id[sample],
-        link_offset_m=path.link_offset_m[sample],
+    return _Posed(
+        roll_rad=roll,
+        pitch_rad=pitch,
+        antenna_m=lift * upright + arm + lever,
+        antenna_velocity_m_s=velocity,
+        stroke_m=stroke,
+        tyre_m=radius,
     )
-
-
-def _minus(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

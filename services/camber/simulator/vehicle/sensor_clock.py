@@ -1,4 +1,4 @@
-"""The clock of a sensor: what it stamps is not quite GPS time, and it samples when its own clock says so."""
+"""The clock of a sensor: its stamps are not quite GPS time, and it samples at even times of this clock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from camber.simulator.scene import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True)
-class SensorClock:
+class DriftingClock:
     """Stamp − GPS time is `offset_ns` at the start, and grows by `drift` (seconds a second)."""
 
     offset_ns: int = 0
@@ -20,18 +20,18 @@ class SensorClock:
 
     @classmethod
     def drawn(cls, seed: int, sensor: str, offset_sigma_s: float, drift_sigma: float) -> Self:
-        """One of a population of clocks, by a stream of its own."""
+        """One of a population of clocks."""
         offset, drift = stream(seed, f"{sensor} clock").standard_normal(2)
         return cls(round(float(offset) * offset_sigma_s * 1e9), float(drift) * drift_sigma)
 
     def stamps(self, time_ns: Integers, start_ns: int) -> Integers:
-        """What it says at true times (n,)."""
+        """Its readings at true times (n,)."""
         drifted = np.rint(self.drift * (time_ns - start_ns).astype(np.float64)).astype(np.int64)
         stamped: Integers = time_ns + self.offset_ns + drifted
         return stamped
 
     def sampling(self, start_ns: int, end_ns: int, rate_hz: float) -> tuple[Integers, Integers]:
-        """True times (n,) from start to end at which its own clock makes a step of the rate, and their stamps.
+        """True times (n,) from start to end at which this clock makes a step of the rate, and their stamps.
 
         Its first sample is at the start; the stamps are even, the true times as even as the drift lets them.
         """
@@ -42,9 +42,9 @@ class SensorClock:
         return time_ns, self.stamps(time_ns, start_ns)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Readings:
-    """What one sensor said: columns (n,), NaN in `value` where it said nothing; `true_time_ns` is truth."""
+    """Readings of one sensor: columns (n,), NaN in `value` where it has none; `true_time_ns` is truth."""
 
     time_ns: Integers
     true_time_ns: Integers

@@ -10,7 +10,6 @@ averaged speed holds it too.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +20,9 @@ from camber.simulator.scene import Floats
 _STRAIGHT = 1.0e-9  # 1/m, less is no curve
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Driver:
-    """What a driver allows; ValueError for bounds that are not positive."""
+    """What a driver allows."""
 
     acceleration_m_s2: float = 1.5
     deceleration_m_s2: float = 2.0
@@ -32,23 +31,16 @@ class Driver:
     rest_before_s: float = 1.0
     rest_after_s: float = 1.0
 
-    def __post_init__(self) -> None:
-        bounds = (
-            self.acceleration_m_s2,
-            self.deceleration_m_s2,
-            self.lateral_acceleration_m_s2,
-            self.jerk_m_s3,
-        )
-        if not all(math.isfinite(b) and b > 0.0 for b in bounds):
-            raise ValueError(f"a driver's bounds are {bounds}, expected positive numbers")
-
     @property
     def window_s(self) -> float:
         """T, over which the motion is averaged."""
         return (self.acceleration_m_s2 + self.deceleration_m_s2) / self.jerk_m_s3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+DRIVER = Driver()
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Progress:
     """Distance over time before averaging: knots (n,) with constant acceleration after each, `area` = ∫ distance."""
 
@@ -81,14 +73,14 @@ class Progress:
 
 
 def progress_along(
-    distance_m: Floats, curvature: Floats, speed_limit_m_s: Floats, stop_s: Floats, driver: Driver
+    distance_m: Floats, curvature: Floats, limits: tuple[Floats, Floats], driver: Driver
 ) -> Progress:
     """The motion over samples of a path (n,): from rest at its beginning to rest at its end.
 
-    `curvature` in 1/m; where the speed limit is zero the vehicle stops: at the first sample of such a stretch, for
-    the longest `stop_s` of it. Raises ValueError for a path that allows no speed at all.
+    `curvature` in 1/m; `limits`: speed limits, and how long to stop where they are zero: at the first sample of such a
+    stretch, for the longest of it. Raises ValueError for a path that allows no speed at all.
     """
-    limit, stop_at_s = _limits_and_stops(speed_limit_m_s, stop_s)
+    limit, stop_at_s = _limits_and_stops(*limits)
     in_curves = np.sqrt(driver.lateral_acceleration_m_s2 / np.maximum(np.abs(curvature), _STRAIGHT))
     limit = np.minimum(limit, in_curves)
     # Midpoints, so that there is room to move between two stops at neighbouring samples.
@@ -100,15 +92,15 @@ def progress_along(
     stop[::2] = stop_at_s
     stop[0] = max(stop[0], 0.0)
     stop[-1] = max(stop[-1], 0.0)
-    a, d = driver.acceleration_m_s2, driver.deceleration_m_s2
-    fastest = _fastest(s, most, stop, a, d)
-    reach_m = driver.window_s * (fastest + max(a, d) * driver.window_s)
-    speed = _fastest(s, _spread(s, most, reach_m), stop, a, d)
+    bounds = driver.acceleration_m_s2, driver.deceleration_m_s2
+    fastest = _fastest(s, most, stop, bounds)
+    reach_m = driver.window_s * (fastest + max(bounds) * driver.window_s)
+    speed = _fastest(s, _spread(s, most, reach_m), stop, bounds)
     return _in_time(s, speed, stop, driver)
 
 
 def _limits_and_stops(speed_limit_m_s: Floats, stop_s: Floats) -> tuple[Floats, Floats]:
-    """Limits without zeros (those beside them instead), and how long to stop at each sample, −1 not at all."""
+    """Limits without zeros (those next to them instead), and how long to stop at each sample, −1 not at all."""
     zero = speed_limit_m_s <= 0.0
     if zero.all() or not np.isfinite(speed_limit_m_s).all():
         raise ValueError("speed_limit_m_s allows no speed anywhere, or is not finite; expected some positive")
@@ -122,7 +114,7 @@ def _limits_and_stops(speed_limit_m_s: Floats, stop_s: Floats) -> tuple[Floats, 
 
 
 def _in_time(s: Floats, speed: Floats, stop: Floats, driver: Driver) -> Progress:
-    """The knots in time, a stop as a knot of its own."""
+    """The knots in time; a stop is one too."""
     window = driver.window_s
     step_s = 2.0 * np.diff(s) / (speed[1:] + speed[:-1])
     rest_s = np.where(stop >= 0.0, stop + window, 0.0)
@@ -139,12 +131,20 @@ def _in_time(s: Floats, speed: Floats, stop: Floats, driver: Driver) -> Progress
     acceleration = np.concatenate((np.zeros(int(rests.sum())), accelerate))[order]
     dt = np.diff(time_s)
     part = dt * (distance[:-1] + dt * (velocity[:-1] / 2.0 + dt * acceleration[:-1] / 6.0))
-    return Progress(time_s, distance, velocity, acceleration, np.append(0.0, np.cumsum(part)), window)
+    return Progress(
+        time_s=time_s,
+        distance_m=distance,
+        speed_m_s=velocity,
+        acceleration_m_s2=acceleration,
+        area_m_s=np.append(0.0, np.cumsum(part)),
+        window_s=window,
+    )
 
 
 @compiled
-def _fastest(s: Floats, most: Floats, stop: Floats, acceleration: float, deceleration: float) -> Floats:
+def _fastest(s: Floats, most: Floats, stop: Floats, bounds: tuple[float, float]) -> Floats:
     """The greatest speeds within the limits whose v² changes by no more than 2 a Δs."""
+    acceleration, deceleration = bounds
     n = len(s)
     square = np.empty(n)
     for i in range(n):

@@ -10,17 +10,21 @@ from typing import Self
 import numpy as np
 
 from camber.compiled.decorator import compiled_without_gil
-from camber.simulator.scene import Floats, Integers, Material, Path
-from camber.simulator.vehicle.driven_path import Way
+from camber.simulator.scene import Floats, Hits, Integers, Material, Path
+from camber.simulator.vehicle.driven_path import DrivenPath
 
-_STEP_NS = 100_000_000
+_STEP_NS = 100_000_000  # chosen: a turn of a LiDAR
 _VEHICLE = int(Material.VEHICLE)
-_OWN_WAY_M = 10.0  # that the sensor may move within the time asked for
+_SENSOR_MOVES_M = 10.0  # chosen: more than the sensor moves within the time asked for
 
 
-@dataclass(frozen=True, slots=True)
+Boxes = tuple[Floats, Floats, Floats]
+"""Poses (k, 4) at two times, and `half_m`, as in `Traffic`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUser:
-    """A box that goes along a path at an even speed, from `start_m` on, beside it by `left_m`; at its end it stands."""
+    """A box that goes along a path at an even speed, from `start_m` on, `left_m` to its left; at its end it stops."""
 
     path: Path
     start_m: float
@@ -31,7 +35,7 @@ class RoadUser:
     height_m: float = 1.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Traffic:
     """k upright boxes at times (m,): `pose` (m, k, 4) east, north of the centre, up of the base, yaw (unwrapped);
     `half_m` (k, 3) half length, half width, height. Between the times they move evenly."""
@@ -46,16 +50,17 @@ class Traffic:
         time_ns = start_ns + _STEP_NS * np.arange((end_ns - start_ns) // _STEP_NS + 2, dtype=np.int64)
         passed_s = (time_ns - start_ns) / 1e9
         pose = np.empty((len(time_ns), len(users), 4))
-        ways = {id(user.path): Way.along(user.path) for user in {id(u.path): u for u in users}.values()}
+        paths = {id(user.path): user.path for user in users}
+        driven_paths = {key: DrivenPath.along(path) for key, path in paths.items()}
         for k, user in enumerate(users):
-            way = ways[id(user.path)]
+            driven = driven_paths[id(user.path)]
             s = user.start_m + user.speed_m_s * passed_s
-            middle, _, _ = way.curve.at(s)
-            yaw, _ = way.yaw_and_turn(np.clip(s, 0.0, way.distance_m[-1]))
+            middle, _, _ = driven.curve.at(s)
+            yaw, _ = driven.yaw_and_turn(np.clip(s, 0.0, driven.distance_m[-1]))
             east, north = middle[:, 0] - user.left_m * np.sin(yaw), middle[:, 1] + user.left_m * np.cos(yaw)
-            pose[:, k] = np.column_stack((east, north, way.road_m(east, north, s), yaw))
+            pose[:, k] = np.column_stack((east, north, driven.road_m(east, north, s), yaw))
         half = np.array([(0.5 * u.length_m, 0.5 * u.width_m, u.height_m) for u in users]).reshape(-1, 3)
-        return cls(time_ns, pose, half)
+        return cls(time_ns=time_ns, pose=pose, half_m=half)
 
     def between(self, first_ns: int, last_ns: int) -> tuple[Floats, Floats]:
         """Poses (k, 4) at two times, clipped to those known."""
@@ -66,33 +71,24 @@ class Traffic:
         poses = self.pose[after - 1] + share * (self.pose[after] - self.pose[after - 1])
         return poses[0], poses[1]
 
-    def near(
-        self, first_ns: int, last_ns: int, place_m: Floats, range_m: float
-    ) -> tuple[Floats, Floats, Floats]:
+    def near(self, first_ns: int, last_ns: int, place_m: Floats, range_m: float) -> Boxes:
         """`between`, and the boxes' sizes, of those only that come within a range of a place (3,), or nearly so."""
         first, last = self.between(first_ns, last_ns)
         reach = range_m + np.linalg.norm(self.half_m, axis=1) + np.hypot(*(last - first)[:, :2].T)
-        chosen = np.hypot(first[:, 0] - place_m[0], first[:, 1] - place_m[1]) < reach + _OWN_WAY_M
+        chosen = np.hypot(first[:, 0] - place_m[0], first[:, 1] - place_m[1]) < reach + _SENSOR_MOVES_M
         return first[chosen], last[chosen], self.half_m[chosen]
 
 
 @compiled_without_gil
-def hit_traffic(
-    origin: Floats,
-    direction: Floats,
-    share: Floats,
-    first: Floats,
-    last: Floats,
-    half: Floats,
-    distance: Floats,
-    material: Integers,
-    normal: Floats,
-) -> None:
-    """Where a box is nearer than what `distance`, `material`, `normal` of the rays (n,) say, write it there.
+def hit_traffic(rays: tuple[Floats, Floats], share: Floats, boxes: Boxes, hits: Hits) -> None:
+    """Where a box is nearer than the hits of the rays (n,), write it there.
 
-    `share` (n,): when each ray leaves, 0 at poses `first`, 1 at `last` (k, 4). Boxes by slabs (Kay & Kajiya 1986);
+    `share` (n,): when each ray leaves, 0 at the boxes' first poses, 1 at the last. Boxes by slabs (Kay & Kajiya 1986);
     rays that begin inside a box do not see it.
     """
+    origin, direction = rays
+    first, last, half = boxes
+    distance, material, normal = hits
     for k in range(len(half)):
         length, width, height = half[k, 0], half[k, 1], half[k, 2]
         radius2 = length * length + width * width + 0.25 * height * height

@@ -75,7 +75,7 @@ class Roads:
             (self.terrain, self.shape, self.elements, self.element_link, self.nodes_m),
             self._rows,
             (_flat(east), _flat(north)),
-            np.ascontiguousarray(on, np.int64).ravel(),
+            np.array(on, np.int64).ravel(),
         )
         return heights.reshape(east.shape)
 
@@ -83,14 +83,14 @@ class Roads:
         """s and y of places (n,) against the centre line of given links (row numbers, (n,)), its ends lengthened."""
         east, north, row = np.broadcast_arrays(east_m, north_m, link)
         first = np.searchsorted(self.element_link, np.arange(len(self.link_id) + 1))
-        rows = np.ascontiguousarray(row, np.int64).ravel()
+        rows = np.array(row, np.int64).ravel()
         s, y = _place(self.elements, first, rows, (_flat(east), _flat(north)))
         return s.reshape(east.shape), y.reshape(east.shape)
 
     def link_height_m(self, link: Integers, east_m: Floats, north_m: Floats) -> Floats:
         """Height (n,) of given links' surfaces, each continued beyond its sides and ends."""
         s, y = self.place(link, east_m, north_m)
-        row = np.ascontiguousarray(np.broadcast_to(link, s.shape), np.int64)
+        row = np.array(np.broadcast_to(link, s.shape), np.int64)
         rise = _rises(self.shape, row.ravel(), s.ravel(), y.ravel()).reshape(s.shape)
         heights: Floats = self.terrain.height_m(east_m, north_m) + rise
         return heights
@@ -127,7 +127,7 @@ class Roads:
 
 
 def _flat(values: Floats) -> Floats:
-    return np.ascontiguousarray(values, np.float64).ravel()
+    return np.array(values, np.float64).ravel()
 
 
 def answering_rows(

@@ -4,15 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive
-from camber.simulator.vehicle.roughness import Roughness
-from camber.simulator.vehicle.speed_profile import Driver
+from camber.simulator.vehicle.speed_profile import DRIVER
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
 
 START_NS = 1_400_000_000 * 1_000_000_000
@@ -77,7 +75,7 @@ def test_the_rear_axle_follows_the_path_and_never_slips_sideways(body: VehicleBo
     assert np.abs(side).max() < 1e-9
 
 
-def test_a_circle_is_steered_as_the_bicycle_model_says() -> None:
+def test_a_circle_is_steered_by_the_bicycle_model() -> None:
     radius_m = 15.0
     t = drive(path_over(flat, np.full(400, 1.0 / radius_m)), CAR, start_ns=START_NS)
     np.testing.assert_allclose(t.steering_rad, np.arctan(CAR.wheelbase_m / radius_m), rtol=3e-4)
@@ -86,8 +84,8 @@ def test_a_circle_is_steered_as_the_bicycle_model_says() -> None:
 
 @BODIES
 def test_the_driver_s_bounds_hold(body: VehicleBody) -> None:
-    driver = Driver()
-    t = drive(over_hills(), body, start_ns=START_NS, driver=driver)
+    driver = DRIVER
+    t = drive(over_hills(), body, start_ns=START_NS)
     acceleration = np.diff(t.speed_m_s) / 0.01
     assert acceleration.max() < driver.acceleration_m_s2 + 1e-3
     assert acceleration.min() > -driver.deceleration_m_s2 - 1e-3
@@ -97,7 +95,7 @@ def test_the_driver_s_bounds_hold(body: VehicleBody) -> None:
     assert t.speed_m_s.max() < 10.0
 
 
-def test_the_vehicle_stands_where_and_as_long_as_the_path_says() -> None:
+def test_the_vehicle_stands_where_and_as_long_as_the_path_asks_for() -> None:
     path = over_hills()
     t = drive(path, CAR, start_ns=START_NS)
     for k, seconds in ((500, 3.0), (1200, 1.5)):
@@ -109,9 +107,7 @@ def test_the_vehicle_stands_where_and_as_long_as_the_path_says() -> None:
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.1, 0.0), (0.0, 0.04), (-0.08, 0.05)])
 @BODIES
-def test_at_rest_the_body_stands_as_the_closed_form_says(
-    body: VehicleBody, slopes: tuple[float, float]
-) -> None:
+def test_at_rest_the_body_is_posed_as_in_closed_form(body: VehicleBody, slopes: tuple[float, float]) -> None:
     # The path leads east, so the slopes are grade and crossfall.
     t = drive(path_over(sloping(*slopes), np.zeros(400)), body, start_ns=START_NS)
     normal = np.array([-slopes[0], -slopes[1], 1.0]) / np.hypot(1.0, np.hypot(*slopes))
@@ -141,10 +137,9 @@ def test_on_flat_road_at_rest_the_stroke_gives_the_antenna_s_height() -> None:
 def test_driving_on_a_plane_the_stroke_s_height_is_off_as_documented_at_most(
     slopes: tuple[float, float],
 ) -> None:
-    rise = sloping(*slopes)
-    t = drive(path_over(rise, winding(), stops={700: 2.0}), CAR, start_ns=START_NS)
-    rigid = dataclasses.replace(CAR, suspension=None)
-    road = drive(path_over(rise, winding(), stops={700: 2.0}), rigid, start_ns=START_NS)
+    path = path_over(sloping(*slopes), winding(), stops={700: 2.0})
+    t = drive(path, CAR, start_ns=START_NS)
+    road = drive(path, dataclasses.replace(CAR, suspension=None), start_ns=START_NS)
     pitch, roll = np.abs(t.pitch_rad - road.pitch_rad), np.abs(t.roll_rad - road.roll_rad)
     x, y = CAR.stroke_point
     slope = np.arctan(np.hypot(*slopes))
@@ -174,9 +169,9 @@ def test_the_wheels_turn_slower_on_greater_tyres_and_faster_when_they_slip() -> 
     plain = drive(path, CAR, start_ns=START_NS)
     np.testing.assert_allclose(plain.wheel_speed_m_s, plain.speed_m_s, rtol=1e-12)
     faults = [
-        VehicleFault("tyre_radius", 0.02, 10.0, 15.0),
-        VehicleFault("wheel_slip", 0.3, 20.0, 22.0),
-        VehicleFault("load", 300.0, 24.0),
+        VehicleFault(kind="tyre_radius", amount=0.02, onset_s=10.0, end_s=15.0),
+        VehicleFault(kind="wheel_slip", amount=0.3, onset_s=20.0, end_s=22.0),
+        VehicleFault(kind="load", amount=300.0, onset_s=24.0),
     ]
     t = drive(path, CAR, start_ns=START_NS, faults=faults)
     moving = t.speed_m_s > 1.0
@@ -186,23 +181,16 @@ def test_the_wheels_turn_slower_on_greater_tyres_and_faster_when_they_slip() -> 
     np.testing.assert_allclose(ratio[(time_s > 10.6) & (time_s < 14.4)], nominal / (nominal + 0.02))
     np.testing.assert_allclose(ratio[(time_s > 20.6) & (time_s < 21.4)], 1.3)
     np.testing.assert_allclose(ratio[(time_s > 16.0) & (time_s < 20.0)], 1.0)
-    # The stored tyre radius is wrong by what has changed: H (1) misses it.
+    # The stored tyre radius is wrong by what has changed: JP7707657B2 eq. (1) misses it.
     missed = t.antenna_height_m - stroke_height(CAR, t)
     assert missed[1440] == pytest.approx(missed[900] + 0.02, abs=2e-3)
-    # A load lowers the antenna, and the stroke says so.
+    # A load lowers the antenna, and the stroke shows it.
     sunk = t.antenna_height_m[-1] - plain.antenna_height_m[-1]
     seen = t.stroke_m[-1] - plain.stroke_m[-1]
     assert sunk < -0.01
     assert seen == pytest.approx(sunk, abs=0.01)
     # With everything over, the integral of the velocity is still the position.
     assert np.abs(t.antenna_m[0] + integral(t.antenna_velocity_m_s) - t.antenna_m).max() < 2e-4
-
-
-def test_a_slower_result_holds_the_same_moments() -> None:
-    path = path_over(hilly, winding(400))
-    fast, slow = (drive(path, CAR, start_ns=START_NS, rate_hz=rate) for rate in (100, 10))
-    for field in dataclasses.fields(Trajectory):
-        np.testing.assert_array_equal(getattr(fast, field.name)[::10], getattr(slow, field.name))
 
 
 def test_the_same_inputs_give_the_same_bytes() -> None:
@@ -213,37 +201,9 @@ def test_the_same_inputs_give_the_same_bytes() -> None:
 
 def test_what_cannot_be_driven_is_refused() -> None:
     path = path_over(flat, np.zeros(50))
-    with pytest.raises(ValueError, match="divisor"):
-        drive(path, CAR, start_ns=START_NS, rate_hz=30)
     with pytest.raises(ValueError, match="no speed"):
         drive(dataclasses.replace(path, speed_limit_m_s=np.zeros(50)), CAR, start_ns=START_NS)
     with pytest.raises(ValueError, match="four points"):
         drive(path_over(flat, np.zeros(3)), CAR, start_ns=START_NS)
     with pytest.raises(ValueError, match="end_s"):
-        VehicleFault("load", 10.0, 5.0, 5.5)
-
-
-@BODIES
-def test_a_rough_road_shakes_the_antenna_and_the_truth_stays_consistent(body: VehicleBody) -> None:
-    path = path_over(flat, np.zeros(2000), step_m=0.1)
-    plain, shaken, same, other = (
-        drive(path, body, start_ns=START_NS, roughness=r)
-        for r in (None, Roughness(1), Roughness(1), Roughness(2))
-    )
-    shake = shaken.antenna_height_m - plain.antenna_height_m
-    assert 3e-4 < shake.std() < 5e-3
-    np.testing.assert_allclose(shaken.road_height_m, 40.0, atol=1e-9)  # the texture is not the road's height
-    integrated = shaken.antenna_m[0] + integral(shaken.antenna_velocity_m_s)
-    # A rigid body's jolts lie between the samples: what the trapezium rule misses is noise, no drift.
-    assert np.abs(integrated - shaken.antenna_m).max() < (2e-3 if body is ROBOT else 2e-4)
-    assert shaken.antenna_m.tobytes() == same.antenna_m.tobytes()
-    assert shaken.antenna_m.tobytes() != other.antenna_m.tobytes()
-
-
-def test_the_road_s_texture_has_the_standard_s_spectrum() -> None:
-    rough = Roughness(3, 64.0e-6)
-    track = rough.height_m("left", 0.05 * np.arange(200_000))
-    frequency, power = signal.welch(track, 20.0, nperseg=4096)
-    for n in (0.3, 0.5, 1.0):  # between the surface's waves and those that the contact averages
-        measured = power[(frequency > 0.8 * n) & (frequency < 1.2 * n)].mean()
-        assert measured == pytest.approx(64.0e-6 * (n / 0.1) ** -2, rel=0.25)
+        VehicleFault(kind="load", amount=10.0, onset_s=5.0, end_s=5.5)

@@ -13,14 +13,14 @@ from camber.simulator.scene import Path, Trajectory
 from camber.simulator.vehicle.attitude_sensor import AttitudeSensor
 from camber.simulator.vehicle.body import CAR, ROBOT
 from camber.simulator.vehicle.motion import drive
-from camber.simulator.vehicle.sensor_clock import SensorClock
+from camber.simulator.vehicle.sensor_clock import DriftingClock
 from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
 from camber.simulator.vehicle.sensors import (
+    BiasedSensor,
     RangingSensor,
     RateSensor,
     SensorSet,
-    SteeringSensor,
-    StrokeSensor,
+    VehicleReadings,
     WheelSensor,
     distance_to_road_m,
     read_sensors,
@@ -29,16 +29,22 @@ from camber.simulator.vehicle.wheel_pulses import edge_times, speed_of_edges
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
 
 START_NS = 1_400_000_000 * 1_000_000_000
+EXACT = BiasedSensor(bias_sigma=0.0, noise=0.0, step=0.0)
 PERFECT = SensorSet(
-    WheelSensor(scale_sigma=0.0, edge_sigma=0.0, step_m_s=0.0),
-    RateSensor(bias_sigma_rad_s=0.0, walk_rad_s_sqrt_s=0.0, noise_rad_s=0.0, scale_sigma=0.0, step_rad_s=0.0),
-    SteeringSensor(bias_sigma_rad=0.0, noise_rad=0.0, step_rad=0.0),
-    AttitudeSensor(bias_sigma_rad=0.0, wander_sigma_rad=0.0, noise_rad=0.0, leaking_share=0.0, step_rad=0.0),
-    StrokeSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0),
-    RangingSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0, angle_sigma_rad=0.0, lost_share=0.0),
+    wheel=WheelSensor(scale_sigma=0.0, edge_sigma=0.0, step_m_s=0.0),
+    yaw_rate=RateSensor(
+        bias_sigma_rad_s=0.0, walk_rad_s_sqrt_s=0.0, noise_rad_s=0.0, scale_sigma=0.0, step_rad_s=0.0
+    ),
+    steering=EXACT,
+    attitude=AttitudeSensor(
+        bias_sigma_rad=0.0, wander_sigma_rad=0.0, noise_rad=0.0, leaking_share=0.0, step_rad=0.0
+    ),
+    stroke=EXACT,
+    ranging=RangingSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0, angle_sigma_rad=0.0, lost_share=0.0),
     clock_offset_sigma_s=0.0,
     clock_drift_sigma=0.0,
 )
+NORMAL = SensorSet()
 
 
 @pytest.fixture(scope="module")
@@ -56,19 +62,19 @@ def true(trajectory: Trajectory, name: str, time_ns: np.ndarray) -> np.ndarray:
     return np.interp(passed, (trajectory.time_ns - START_NS) / 1e9, getattr(trajectory, name))
 
 
-def test_without_errors_the_sensors_say_the_truth(path: Path, trajectory: Trajectory) -> None:
-    said = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1)
+def test_without_errors_the_sensors_give_the_truth(path: Path, trajectory: Trajectory) -> None:
+    readings = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1)
     columns = (
-        (said.steering, "steering_rad"),
-        (said.stroke, "stroke_m"),
-        (said.pitch, "pitch_rad"),
-        (said.roll, "roll_rad"),
+        (readings.steering, "steering_rad"),
+        (readings.stroke, "stroke_m"),
+        (readings.pitch, "pitch_rad"),
+        (readings.roll, "roll_rad"),
     )
-    for readings, name in columns:
-        assert readings is not None
-        np.testing.assert_array_equal(readings.time_ns, readings.true_time_ns)
-        np.testing.assert_allclose(readings.value, true(trajectory, name, readings.time_ns), atol=1e-12)
-    wheel = said.wheel_speed
+    for one, name in columns:
+        assert one is not None
+        np.testing.assert_array_equal(one.time_ns, one.true_time_ns)
+        np.testing.assert_allclose(one.value, true(trajectory, name, one.time_ns), atol=1e-12)
+    wheel = readings.wheel_speed
     middle = wheel.true_time_ns - 10_000_000  # of the window
     off = wheel.value - true(trajectory, "wheel_speed_m_s", middle)
     assert np.abs(off[wheel.value > 1.0]).max() < 0.05
@@ -76,27 +82,27 @@ def test_without_errors_the_sensors_say_the_truth(path: Path, trajectory: Trajec
 
 
 def test_the_rate_sensor_turns_with_the_body(path: Path, trajectory: Trajectory) -> None:
-    said = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1).yaw_rate
-    # Another way to the same: the skew part of Rᵀ dR/dt, by differences of rotations.
+    readings = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1).yaw_rate
+    # Another derivation: the skew part of Rᵀ dR/dt, by differences of rotations.
     angles = [true(trajectory, name, trajectory.time_ns) for name in ("roll_rad", "pitch_rad", "yaw_rad")]
     at = np.array([rotation_from_roll_pitch_yaw(*a) for a in np.column_stack(angles)])
     turned = np.einsum("nki,nkj->nij", at[:-2], at[2:])[:, 1, 0] / 0.02
-    expected = np.interp(said.true_time_ns[1:-1] - START_NS, trajectory.time_ns[1:-1] - START_NS, turned)
-    np.testing.assert_allclose(said.value[1:-1], expected, atol=1e-4)
-    plain = true(trajectory, "yaw_rate_rad_s", said.true_time_ns)
-    assert np.abs(said.value - plain).max() > 5e-4  # the hills show
+    expected = np.interp(readings.true_time_ns[1:-1] - START_NS, trajectory.time_ns[1:-1] - START_NS, turned)
+    np.testing.assert_allclose(readings.value[1:-1], expected, atol=1e-4)
+    plain = true(trajectory, "yaw_rate_rad_s", readings.true_time_ns)
+    assert np.abs(readings.value - plain).max() > 5e-4  # the hills show
 
 
-def test_the_wheel_sensor_says_nothing_below_its_least_speed(path: Path, trajectory: Trajectory) -> None:
-    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 3).wheel_speed
-    moving = said.value > 0.0
-    assert said.value[moving].min() >= 0.35 - 1e-9
-    speed = true(trajectory, "wheel_speed_m_s", said.true_time_ns)
-    assert (said.value[speed == 0.0] == 0.0).mean() > 0.98  # but for the last edge before a stop
-    assert (said.value[speed > 0.5] > 0.0).all()
-    np.testing.assert_allclose(said.value / 0.01, np.round(said.value / 0.01), atol=1e-6)
-    # The distance it counts is the true one but for its scale and what it does not say.
-    counted = said.value.sum() / 50.0
+def test_the_wheel_sensor_gives_zero_below_its_least_speed(path: Path, trajectory: Trajectory) -> None:
+    readings = read_sensors(trajectory, CAR, path.surface_m, NORMAL, 3).wheel_speed
+    moving = readings.value > 0.0
+    assert readings.value[moving].min() >= 0.35 - 1e-9
+    speed = true(trajectory, "wheel_speed_m_s", readings.true_time_ns)
+    assert (readings.value[speed == 0.0] == 0.0).mean() > 0.98  # but for the last edge before a stop
+    assert (readings.value[speed > 0.5] > 0.0).all()
+    np.testing.assert_allclose(readings.value / 0.01, np.round(readings.value / 0.01), atol=1e-6)
+    # The distance it counts is the true one but for its scale and the lowest speeds.
+    counted = readings.value.sum() / 50.0
     driven = trajectory.wheel_speed_m_s.sum() / 100.0
     assert counted == pytest.approx(driven, rel=0.02)
 
@@ -123,11 +129,11 @@ def test_an_edge_never_falls_into_a_standstill() -> None:
     assert not ((edges > 10.01) & (edges < 19.99)).any()
 
 
-def test_the_beam_meets_a_plane_road_where_the_closed_form_says() -> None:
+def test_the_beam_meets_a_plane_road_as_in_closed_form() -> None:
     slopes = (0.09, -0.04)
     path = path_over(sloping(*slopes), winding(400))
     t = drive(path, CAR, start_ns=START_NS)
-    distance = distance_to_road_m(t, CAR, path.surface_m, t.time_ns, CAR.ranging_angle_rad)
+    distance = distance_to_road_m(t, CAR, path.surface_m, t.time_ns, angle_rad=CAR.ranging_angle_rad)
     normal = np.array([-slopes[0], -slopes[1], 1.0])
     for k in range(0, len(t.time_ns), 97):
         turn = rotation_from_roll_pitch_yaw(t.roll_rad[k], t.pitch_rad[k], t.yaw_rad[k])
@@ -139,52 +145,53 @@ def test_the_beam_meets_a_plane_road_where_the_closed_form_says() -> None:
 
 
 def test_at_rest_on_flat_road_the_distance_gives_the_antenna_s_height() -> None:
-    # H (6) and (7): h_a = d sin θ + h_sa.
+    # JP7707657B2 eq. (6) and (7): h_a = d sin θ + h_sa.
     for body in (CAR, ROBOT):
         path = path_over(flat, np.zeros(100))
         t = drive(path, body, start_ns=START_NS)
-        d = distance_to_road_m(t, body, path.surface_m, t.time_ns[:1], body.ranging_angle_rad)
-        height = d[0] * math.sin(body.ranging_angle_rad) + body.sensor_to_antenna_m
+        d = distance_to_road_m(t, body, path.surface_m, t.time_ns[:1], angle_rad=body.ranging_angle_rad)
+        height = d[0] * math.sin(body.ranging_angle_rad) + (body.antenna[2] - body.ranging[2])
         assert height == pytest.approx(t.antenna_height_m[0], abs=1e-9)
 
 
-def test_where_no_road_is_known_the_ranging_sensor_says_nothing() -> None:
+def test_where_no_road_is_known_the_ranging_sensor_gives_nothing() -> None:
     path = path_over(flat, np.zeros(100), surface=False)
     t = drive(path, CAR, start_ns=START_NS)
-    said = read_sensors(t, CAR, path.surface_m, SensorSet(), 1)
-    assert np.isnan(said.ranging.value).all()
-    assert ranging_messages(said, SensorSet(), CAR) == []
+    readings = read_sensors(t, CAR, path.surface_m, NORMAL, 1)
+    assert np.isnan(readings.ranging.value).all()
+    assert ranging_messages(readings, NORMAL, CAR) == []
 
 
-def test_errors_are_as_large_as_said() -> None:
+def test_errors_are_as_large_as_set() -> None:
     path = path_over(flat, np.zeros(200))
     t = drive(path, CAR, start_ns=START_NS, duration_s=120.0)
-    sensors = SensorSet()
-    last = []
+    sensors, last = NORMAL, []
     for seed in range(40):
-        said = read_sensors(t, CAR, path.surface_m, sensors, seed)
-        assert said.stroke is not None
-        last.append([x.value[-2000:].mean() for x in (said.yaw_rate, said.steering)])
+        readings = read_sensors(t, CAR, path.surface_m, sensors, seed)
+        assert readings.stroke is not None
+        last.append([x.value[-2000:].mean() for x in (readings.yaw_rate, readings.steering)])
         if seed == 0:
-            spread = [x.value[-2000:].std() for x in (said.yaw_rate, said.steering, said.stroke)]
-            noise = (sensors.yaw_rate.noise_rad_s, sensors.steering.noise_rad, sensors.stroke.noise_m)
+            spread = [x.value[-2000:].std() for x in (readings.yaw_rate, readings.steering, readings.stroke)]
+            noise = (sensors.yaw_rate.noise_rad_s, sensors.steering.noise, sensors.stroke.noise)
             np.testing.assert_allclose(spread, noise, rtol=0.1)
-            distance = said.ranging.value[-400:]
+            distance = readings.ranging.value[-400:]
             assert 0.0 < np.isnan(distance).mean() < 0.05
             assert np.nanstd(distance) == pytest.approx(sensors.ranging.noise_m, rel=0.25)
     # Within what 40 draws of a normal distribution allow (χ², 99.9 %).
-    bias = np.std(last, axis=0) / (sensors.yaw_rate.bias_sigma_rad_s, sensors.steering.bias_sigma_rad)
+    bias = np.std(last, axis=0) / (sensors.yaw_rate.bias_sigma_rad_s, sensors.steering.bias_sigma)
     assert ((bias > 0.65) & (bias < 1.4)).all()
 
 
 def test_attitude_is_off_by_a_bias_that_wanders_and_by_noise() -> None:
     path = path_over(flat, np.zeros(200))
     t = drive(path, CAR, start_ns=START_NS, duration_s=200.0)
-    sensor = SensorSet().attitude
+    sensor = NORMAL.attitude
     means, steps = [], []
     for seed in range(60):
-        said = read_sensors(t, CAR, path.surface_m, SensorSet(), seed)
-        at_rest = np.stack((said.pitch.value, said.roll.value))[:, -5000:]  # flat road: the truth is zero
+        readings = read_sensors(t, CAR, path.surface_m, NORMAL, seed)
+        at_rest = np.stack((readings.pitch.value, readings.roll.value))[
+            :, -5000:
+        ]  # flat road: the truth is zero
         means.append(at_rest.mean(axis=1))
         steps.append(at_rest[:, 1:] - at_rest[:, :-1])
         assert np.corrcoef(at_rest)[0, 1] < 0.95
@@ -200,35 +207,37 @@ def test_attitude_takes_some_of_the_acceleration_for_gravity() -> None:
     path = path_over(flat, curvature, speed_m_s=12.0)
     t = drive(path, ROBOT, start_ns=START_NS)
     leaky = dataclasses.replace(PERFECT.attitude, leaking_share=0.03, leaking_s=2.0)
-    said = read_sensors(t, ROBOT, path.surface_m, dataclasses.replace(PERFECT, attitude=leaky), 1)
-    time_s = (said.roll.true_time_ns - START_NS) / 1e9
+    readings = read_sensors(t, ROBOT, path.surface_m, dataclasses.replace(PERFECT, attitude=leaky), 1)
+    time_s = (readings.roll.true_time_ns - START_NS) / 1e9
     in_curve = np.flatnonzero(np.interp(time_s, (t.time_ns - START_NS) / 1e9, t.yaw_rate_rad_s) > 0.1)
     # Long after its beginning: the whole share of v² κ / g, the left side up.
     late = in_curve[3 * len(in_curve) // 4]
-    assert said.roll.value[late] == pytest.approx(0.03 * 12.0**2 * 0.01 / 9.80665, rel=0.03)
-    assert said.roll.value[in_curve[0]] < 0.3 * said.roll.value[late]
+    assert readings.roll.value[late] == pytest.approx(0.03 * 12.0**2 * 0.01 / 9.80665, rel=0.03)
+    assert readings.roll.value[in_curve[0]] < 0.3 * readings.roll.value[late]
     # Speeding up: the nose seems up, which is negative; braking: down.
-    assert said.pitch.value[time_s < 5.0].min() < -0.002
-    assert said.pitch.value[time_s > time_s[-1] - 5.0].max() > 0.002
-    assert np.abs(said.pitch.value[late]) < 1e-4
+    assert readings.pitch.value[time_s < 5.0].min() < -0.002
+    assert readings.pitch.value[time_s > time_s[-1] - 5.0].max() > 0.002
+    assert np.abs(readings.pitch.value[late]) < 1e-4
 
 
-def test_each_sensor_lives_by_its_own_clock(path: Path, trajectory: Trajectory) -> None:
-    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 5)
-    assert said.stroke is not None
-    off = [r.time_ns - r.true_time_ns for r in (said.wheel_speed, said.yaw_rate, said.steering, said.stroke)]
+def test_each_sensor_has_another_clock(path: Path, trajectory: Trajectory) -> None:
+    readings = read_sensors(trajectory, CAR, path.surface_m, NORMAL, 5)
+    assert readings.stroke is not None
+    off = [
+        r.time_ns - r.true_time_ns
+        for r in (readings.wheel_speed, readings.yaw_rate, readings.steering, readings.stroke)
+    ]
     assert len({int(o[0]) for o in off}) == 4
     assert all(abs(int(o[0])) < 15_000_000 for o in off)
     assert all(int(np.ptp(o)) > 1_000 for o in off)  # and drifts
-    assert all(
-        np.ptp(np.diff(r.time_ns)) <= 2 for r in (said.wheel_speed, said.yaw_rate)
-    )  # even by its own clock
+    # Even by its stamps.
+    assert all(np.ptp(np.diff(r.time_ns)) <= 2 for r in (readings.wheel_speed, readings.yaw_rate))
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
 @given(st.integers(-(10**8), 10**8), st.floats(-1e-3, 1e-3), st.floats(1.0, 200.0))
-def test_a_clock_samples_by_its_own_time(offset: int, drift: float, rate: float) -> None:
-    true_ns, stamps = SensorClock(offset, drift).sampling(START_NS, START_NS + 20_000_000_000, rate)
+def test_a_clock_samples_at_even_times_of_its_stamps(offset: int, drift: float, rate: float) -> None:
+    true_ns, stamps = DriftingClock(offset, drift).sampling(START_NS, START_NS + 20_000_000_000, rate)
     assert true_ns[0] == START_NS
     assert true_ns[-1] <= START_NS + 20_000_000_000
     assert stamps[0] - START_NS == offset
@@ -236,44 +245,38 @@ def test_a_clock_samples_by_its_own_time(offset: int, drift: float, rate: float)
     assert len(true_ns) == pytest.approx(20.0 * rate * (1.0 + drift) + 1, abs=1.0)
 
 
-def test_messages_hold_what_was_said_last(path: Path, trajectory: Trajectory) -> None:
-    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 6)
-    messages = motion_messages(said)
-    assert [m.time_ns for m in messages] == said.yaw_rate.time_ns.tolist()
+def test_messages_hold_the_newest_readings(path: Path, trajectory: Trajectory) -> None:
+    readings = read_sensors(trajectory, CAR, path.surface_m, NORMAL, 6)
+    messages = motion_messages(readings)
+    assert [m.time_ns for m in messages] == readings.yaw_rate.time_ns.tolist()
     for m in messages[5::200]:
-        held = np.flatnonzero(said.wheel_speed.time_ns <= m.time_ns)[-1]
-        assert m.wheel_speed_m_s == said.wheel_speed.value[held]
+        held = np.flatnonzero(readings.wheel_speed.time_ns <= m.time_ns)[-1]
+        assert m.wheel_speed_m_s == readings.wheel_speed.value[held]
         assert m.steering_angle_rad is not None
-        held = np.flatnonzero(said.pitch.time_ns <= m.time_ns)[-1]
-        assert (m.pitch_rad, m.roll_rad) == (said.pitch.value[held], said.roll.value[held])
+        held = np.flatnonzero(readings.pitch.time_ns <= m.time_ns)[-1]
+        assert (m.pitch_rad, m.roll_rad) == (readings.pitch.value[held], readings.roll.value[held])
     # A unit that has fallen silent is not known, not repeated.
-    silent = dataclasses.replace(
-        said,
-        wheel_speed=dataclasses.replace(
-            said.wheel_speed,
-            time_ns=said.wheel_speed.time_ns[:100],
-            true_time_ns=said.wheel_speed.true_time_ns[:100],
-            value=said.wheel_speed.value[:100],
-        ),
-    )
+    wheel = readings.wheel_speed
+    stopped = dataclasses.replace(wheel, time_ns=wheel.time_ns[:100], value=wheel.value[:100])
+    silent = dataclasses.replace(readings, wheel_speed=stopped)
     assert motion_messages(silent)[-1].wheel_speed_m_s is None
-    assert len(suspension_messages(said, SensorSet())) == len(said.stroke.time_ns)  # type: ignore[union-attr]
-    assert len(ranging_messages(said, SensorSet(), CAR)) == int(np.isfinite(said.ranging.value).sum())
+    assert len(suspension_messages(readings, NORMAL)) == len(readings.stroke.time_ns)  # type: ignore[union-attr]
+    assert len(ranging_messages(readings, NORMAL, CAR)) == int(np.isfinite(readings.ranging.value).sum())
 
 
 def test_a_robot_has_no_stroke() -> None:
     path = path_over(flat, np.zeros(100))
     t = drive(path, ROBOT, start_ns=START_NS)
-    said = read_sensors(t, ROBOT, path.surface_m, SensorSet(), 1)
-    assert said.stroke is None
-    assert suspension_messages(said, SensorSet()) == []
+    readings = read_sensors(t, ROBOT, path.surface_m, NORMAL, 1)
+    assert readings.stroke is None
+    assert suspension_messages(readings, NORMAL) == []
 
 
 def test_the_same_seed_gives_the_same_readings_another_seed_others(
     path: Path, trajectory: Trajectory
 ) -> None:
-    one, same, other = (read_sensors(trajectory, CAR, path.surface_m, SensorSet(), s) for s in (1, 1, 2))
-    for name in ("wheel_speed", "yaw_rate", "steering", "pitch", "roll", "stroke", "ranging"):
+    one, same, other = (read_sensors(trajectory, CAR, path.surface_m, NORMAL, s) for s in (1, 1, 2))
+    for name in VehicleReadings.__slots__:
         a, b, c = (getattr(x, name) for x in (one, same, other))
         assert a.value.tobytes() == b.value.tobytes()
         assert a.time_ns.tobytes() == b.time_ns.tobytes()
@@ -281,8 +284,8 @@ def test_the_same_seed_gives_the_same_readings_another_seed_others(
 
 
 def test_to_change_one_error_leaves_the_others(path: Path, trajectory: Trajectory) -> None:
-    changed = dataclasses.replace(SensorSet(), yaw_rate=RateSensor(noise_rad_s=0.1))
-    a, b = (read_sensors(trajectory, CAR, path.surface_m, s, 1) for s in (SensorSet(), changed))
+    changed = dataclasses.replace(NORMAL, yaw_rate=RateSensor(noise_rad_s=0.1))
+    a, b = (read_sensors(trajectory, CAR, path.surface_m, s, 1) for s in (NORMAL, changed))
     assert a.wheel_speed.value.tobytes() == b.wheel_speed.value.tobytes()
     assert a.steering.value.tobytes() == b.steering.value.tobytes()
     assert a.yaw_rate.value.tobytes() != b.yaw_rate.value.tobytes()
