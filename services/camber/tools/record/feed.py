@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,14 +38,14 @@ from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.options.bus_options import bus_settings
+from camber.tools.options.parsers import add_drive, tool_parser
 from camber.tools.options.stop_signals import stopped_by_signals
 
 _PROG = "camber feed"
 _ROUTER = "tcp/127.0.0.1:7447"
 _RETRY_ROUTER_S = 0.5  # chosen: as often as services retry the router
-_LONGEST_WAIT_NS = (
-    3600 * NS_PER_SECOND
-)  # chosen: a drive that starts later is fed at once, with shifted times
+_LONGEST_WAIT_NS = 3600 * NS_PER_SECOND
+"""Chosen: a drive that starts later is fed at once, with shifted times."""
 _LATE_NS = NS_PER_SECOND // 2  # chosen: consumers would refuse later messages as stale (table of channels)
 _AWAY_NS = 60 * NS_PER_SECOND  # chosen: after a longer suspend without motion no localizer holds its pose
 
@@ -89,7 +90,10 @@ class Epoch:
         return Epoch(
             time_ns=self.time_ns + offset_ns,
             solutions=tuple(replace(item, time_ns=item.time_ns + offset_ns) for item in self.solutions),
-            samples=tuple((name, _dated(item, item.time_ns + offset_ns)) for name, item in self.samples),
+            samples=tuple(
+                (name, item.model_copy(update={"time_ns": item.time_ns + offset_ns}))
+                for name, item in self.samples
+            ),
             sweeps=tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
         )
 
@@ -98,7 +102,8 @@ class Epoch:
         for raw in self.raw:
             yield "receiver_bytes", raw
         if self.solutions:
-            payload = np.frombuffer(b"".join(_pos_lines(solution) for solution in self.solutions), np.uint8)
+            data = b"".join(_pos_lines(solution) for solution in self.solutions)
+            payload = np.frombuffer(data, np.uint8)
             yield "receiver_bytes", ReceiverBytes(time_ns=self.time_ns, protocol="pos", payload=payload)
         yield from self.samples
         for fed in self.sweeps:
@@ -122,11 +127,8 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
             if part.protocol in decoders
             for item in decoders[part.protocol].feed(part.payload.tobytes())
         ]
-        samples = (
-            *(("motion", sample) for sample in tick.motion),
-            *(("suspension", sample) for sample in tick.suspension),
-            *(("ranging", sample) for sample in tick.ranging),
-        )
+        channels = {"motion": tick.motion, "suspension": tick.suspension, "ranging": tick.ranging}
+        samples = tuple((name, sample) for name, values in channels.items() for sample in values)
         solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
         sweeps = tuple(FedSweep(file=file) for file in tick.sweeps)
         raw = tuple(part for part in tick.receiver if part.protocol not in decoders)
@@ -152,10 +154,11 @@ def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
             Epoch(
                 time_ns=span_ns - epoch.time_ns,
                 solutions=tuple(_backward_solution(item, span_ns) for item in reversed(epoch.solutions)),
-                samples=tuple(
-                    (name, _backward_sample(item, span_ns)) for name, item in reversed(epoch.samples)
+                samples=tuple((name, _backward_sample(s, span_ns)) for name, s in reversed(epoch.samples)),
+                sweeps=tuple(
+                    replace(sweep, moved_ns=span_ns - sweep.moved_ns, backward=not sweep.backward)
+                    for sweep in reversed(due)
                 ),
-                sweeps=tuple(_backward_sweep(sweep, span_ns) for sweep in reversed(due)),
             )
         )
     return tuple(back)
@@ -172,20 +175,18 @@ def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
 
 def main(argv: Sequence[str]) -> int:
     """Feed one drive; 0 finished or stopped, 2 the drive cannot be used, 3 the bus cannot be joined."""
-    args = _parser().parse_args(argv)
+    parser = tool_parser(_PROG, __doc__)
+    add_drive(parser, "manifest of the drive")
+    add_bus_arguments(parser)
+    text = "drive forward and back in reverse gear until stopped"
+    parser.add_argument("--loop", action="store_true", help=text)
+    args = parser.parse_args(argv)
     try:
         manifest = load_manifest(args.drive, args.set)
         # Preparing a drive may build a map, which is not fed: it goes to a temporary folder.
         with stopped_by_signals() as stop, tempfile.TemporaryDirectory(prefix="camber-feed-") as work_folder:
-            feed(
-                manifest,
-                Path(work_folder),
-                stop,
-                connect=args.connect,
-                vehicle=args.vehicle,
-                loop=args.loop,
-                prog=_PROG,
-            )
+            bus = {"connect": args.connect, "vehicle": args.vehicle}
+            feed(manifest, Path(work_folder), stop, **bus, loop=args.loop, prog=_PROG)
     except (ManifestError, FormatError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
@@ -218,9 +219,7 @@ def feed(
     inputs = prepare_drive(manifest, work_folder)
     epochs = epochs_of(inputs)
     if not any(epoch.solutions or epoch.samples or epoch.sweeps for epoch in epochs):
-        raise ManifestError(
-            f"{manifest.name}: only raw observations, expected something that can be fed live"
-        )
+        raise ManifestError(f"{manifest.name}: only raw observations, expected something to feed live")
     for note in inputs.notes:
         print(f"{prog}: {note}", file=sys.stderr)
     bus = _joined(settings, stop, prog)
@@ -254,25 +253,26 @@ def feed_passes(
     drive_passes: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, *, drive: str, prog: str = _PROG
 ) -> None:
     """Publish pass after pass, reporting each on standard error, until none is left or `stop` is set."""
+
+    def report(text: str) -> None:
+        print(f"{prog}: {text}", file=sys.stderr, flush=True)
+
     first = next(drive_passes)
     start_ns = bus.now_ns()
     if 0 < first[0].time_ns - start_ns <= _LONGEST_WAIT_NS:
         start_ns = first[0].time_ns
-        print(
-            f"{prog}: {drive} begins in {(start_ns - bus.now_ns()) / NS_PER_SECOND:.0f} s",
-            file=sys.stderr,
-            flush=True,
-        )
+        report(f"{drive} begins in {(start_ns - bus.now_ns()) / NS_PER_SECOND:.0f} s")
     elif any(epoch.raw for epoch in first):
-        print(f"{prog}: {drive}: times shifted to now, raw observations omitted", file=sys.stderr, flush=True)
+        report(f"{drive}: times shifted to now, raw observations omitted")
     for number, epochs in enumerate(chain([first], drive_passes), start=1):
         duration_s = (epochs[-1].time_ns - epochs[0].time_ns) / NS_PER_SECOND
-        print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
+        report(f"{drive}, {duration_s:.0f} s, pass {number}")
         reader = SweepReader()
         start_ns, missed = feed_pass(epochs, bus, stop, start_ns=start_ns, reader=reader)
-        late = f"this machine was too slow: {missed} of {len(epochs)} epochs were not published"
-        for note in (*reader.notes(), *([late] if missed else [])):
-            print(f"{prog}: {note}", file=sys.stderr, flush=True)
+        for note in reader.notes():
+            report(note)
+        if missed:
+            report(f"this machine was too slow: {missed} of {len(epochs)} epochs were not published")
         if stop.is_set():
             return
 
@@ -309,42 +309,21 @@ def _pos_lines(solution: ReceiverSolution) -> bytes:
     return format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
 
 
-def _dated(message: Message, time_ns: int) -> Message:
-    return message.model_copy(update={"time_ns": time_ns})
-
-
 def _backward_solution(solution: ReceiverSolution, span_ns: int) -> ReceiverSolution:
     velocity = solution.velocity_enu_m_s
     backward = None if velocity is None else (-velocity[0], -velocity[1], -velocity[2])
     return replace(solution, time_ns=span_ns - solution.time_ns, velocity_enu_m_s=backward)
 
 
-def _backward_sweep(sweep: FedSweep, span_ns: int) -> FedSweep:
-    return replace(sweep, moved_ns=span_ns - sweep.moved_ns, backward=not sweep.backward)
-
-
 def _backward_sample(message: Message, span_ns: int) -> Message:
-    dated = _dated(message, span_ns - message.time_ns)
-    if not isinstance(dated, Motion):
-        return dated
-    readings = {"wheel_speed_m_s": dated.wheel_speed_m_s, "yaw_rate_rad_s": dated.yaw_rate_rad_s}
-    return dated.model_copy(update={name: -value for name, value in readings.items() if value is not None})
+    update: dict[str, Any] = {"time_ns": span_ns - message.time_ns}
+    if isinstance(message, Motion):
+        readings = {"wheel_speed_m_s": message.wheel_speed_m_s, "yaw_rate_rad_s": message.yaw_rate_rad_s}
+        update |= {name: -value for name, value in readings.items() if value is not None}
+    return message.model_copy(update=update)
 
 
 def add_bus_arguments(parser: argparse._ActionsContainer) -> None:
     """Add `--connect` and `--vehicle`: the bus that a drive is fed to."""
     parser.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router; default {_ROUTER}")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
-    add_bus_arguments(parser)
-    parser.add_argument(
-        "--loop", action="store_true", help="drive forward and back in reverse gear until stopped"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
-    )
-    return parser

@@ -10,7 +10,6 @@ It declares liveliness for each producer that it plays, and refuses to start whe
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 import time
@@ -30,6 +29,7 @@ from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME, SENSORS, Channel
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS, number_from
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.time_shift import NS_PER_FIX_ID, moved
 
@@ -53,15 +53,25 @@ class PlaybackError(RuntimeError):
 
 def main(argv: Sequence[str]) -> int:
     """Play files one after the other."""
-    args = _parser().parse_args(argv)
-    if args.speed != 1.0 and args.times == "now":
-        print(
-            f"{_PROG}: --speed {args.speed:g}: expected 1 with --times now, because distance and wheel speed would "
-            "disagree; use --times recorded or camber replay",
-            file=sys.stderr,
-        )
-        return 2
+    parser = tool_parser(_PROG, __doc__, _HELP)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MCAP files, in order")
+    add_with_default(
+        parser, "--times", "now", "shift times to now, or keep them", choices=("now", "recorded")
+    )
+    speed, text = number_from(0.001, 1000.0), "playback speed, with --times recorded only"
+    add_with_default(parser, "--speed", 1.0, text, type=speed, metavar="F")
+    parser.add_argument("--channels", metavar="A,B", help="only these (default: all that were recorded)")
+    parser.add_argument("--without", metavar="A,B", help="omit these channels")
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
+    add_bus_options(parser)
+    add_with_default(parser, "--timeout", 5.0, "timeout for joining the bus", type=SECONDS, metavar="S")
+    args = parser.parse_args(argv)
     try:
+        if args.speed != 1.0 and args.times == "now":
+            raise PlaybackError(
+                f"--speed {args.speed:g}: expected 1 with --times now, because distance and wheel speed would "
+                "disagree; use --times recorded or camber replay"
+            )
         channels = _chosen(args.channels, args.without)
         names, vehicle = _producers(args.files, channels)
     except (OSError, PlaybackError) as error:
@@ -71,9 +81,8 @@ def main(argv: Sequence[str]) -> int:
     try:
         check_no_producer(settings, names, channels, timeout_s=args.timeout)
         with stopped_by_signals() as stop:
-            player = Player(
-                settings, names, stop, speed=args.speed, now=args.times == "now", timeout_s=args.timeout
-            )
+            now = args.times == "now"
+            player = Player(settings, names, stop, speed=args.speed, now=now, timeout_s=args.timeout)
             try:
                 received = _RECEIVED_ONLY if args.channels is None else ()
                 errors = player.play(_messages(args.files, (*channels, *received)))
@@ -148,7 +157,7 @@ class Player:
             if isinstance(item, RecordingError):
                 errors.append(item)
                 continue
-            if self._is_left_out(item.channel):
+            if BY_NAME[item.channel] in _RECEIVED_ONLY or (self._now and item.channel == "receiver_bytes"):
                 self.left_out[item.channel] += 1
                 continue
             if first_ns is None:
@@ -158,15 +167,17 @@ class Player:
             due_s = began_s + (item.message.time_ns - first_ns) / NS_PER_SECOND / self._speed
             wait_s = max(due_s - time.monotonic(), 0.0)
             if wait_s > _LONG_GAP_S:
-                print(
-                    f"{_PROG}: a gap in the recording: nothing for {wait_s:.0f} s",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                text = f"{_PROG}: a gap in the recording: nothing for {wait_s:.0f} s"
+                print(text, file=sys.stderr, flush=True)
             if self._stop.wait(wait_s):
                 break
-            self._note_lateness(time.monotonic() - due_s)
-            self._publish(item, offset_ns)
+            late_s = time.monotonic() - due_s
+            if late_s > _LATE_S:
+                self.late += 1
+                self.latest_s = max(self.latest_s, late_s)
+            message = moved(item.message, offset_ns) if offset_ns else item.message
+            self._buses[BY_NAME[item.channel].producers[0]].publish(item.channel, message)
+            self.played[item.channel] += 1
         return errors
 
     def close(self) -> None:
@@ -176,27 +187,15 @@ class Player:
 
     def summary(self) -> str:
         """Return one line with counts of played, omitted and late messages."""
-        counts = ", ".join(f"{name} {count}" for name, count in sorted(self.played.items()))
-        left = ", ".join(f"{name} {count}" for name, count in sorted(self.left_out.items()))
-        late = (
-            f"; {self.late} were more than {_LATE_S} s late, {self.latest_s:.1f} s at most"
-            if self.late
-            else ""
+        played, left_out = (
+            ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+            for counts in (self.played, self.left_out)
         )
-        return f"played {counts or 'nothing'}{f'; left out: {left}' if left else ''}{late}"
-
-    def _is_left_out(self, channel: str) -> bool:
-        return BY_NAME[channel] in _RECEIVED_ONLY or (self._now and channel == "receiver_bytes")
-
-    def _publish(self, item: Recorded[Any], offset_ns: int) -> None:
-        message = moved(item.message, offset_ns) if offset_ns else item.message
-        self._buses[BY_NAME[item.channel].producers[0]].publish(item.channel, message)
-        self.played[item.channel] += 1
-
-    def _note_lateness(self, late_s: float) -> None:
-        if late_s > _LATE_S:
-            self.late += 1
-            self.latest_s = max(self.latest_s, late_s)
+        parts = [f"played {played or 'nothing'}"]
+        parts += [f"left out: {left_out}"] if left_out else []
+        if self.late:
+            parts.append(f"{self.late} were more than {_LATE_S} s late, {self.latest_s:.1f} s at most")
+        return "; ".join(parts)
 
 
 def _messages(files: Sequence[Path], channels: Sequence[Channel]) -> Iterator[Recorded[Any] | RecordingError]:
@@ -207,7 +206,7 @@ def _messages(files: Sequence[Path], channels: Sequence[Channel]) -> Iterator[Re
 def _chosen(names: str | None, without: str | None) -> tuple[Channel, ...]:
     known = [channel.name for channel in PLAYABLE]
     wanted = known if names is None else names.split(",")
-    left_out = [] if without is None else without.split(",")
+    left_out = without.split(",") if without is not None else []
     for name in (*wanted, *left_out):
         if name not in known:
             raise PlaybackError(f"channel {name!r}: expected some of {', '.join(known)}")
@@ -219,52 +218,19 @@ def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[
 
     Raises PlaybackError where there are no messages, or messages of several vehicles: sources are never mixed.
     """
-    names: set[str] = set()
-    vehicles: set[str] = set()
+    names, vehicles = set[str](), set[str]()
     for path in files:
         for item in _messages([path], channels):
-            if isinstance(item, Recorded):
-                channel = BY_NAME[item.channel]
-                names.add(channel.producers[0])
-                try:
-                    vehicles.add(channel.vehicle_in(item.key))
-                except ValueError as error:
-                    raise PlaybackError(f"{path}: {item.channel}: {error}") from None
+            if isinstance(item, RecordingError):
+                continue
+            names.add(BY_NAME[item.channel].producers[0])
+            try:
+                vehicles.add(BY_NAME[item.channel].vehicle_in(item.key))
+            except ValueError as error:
+                raise PlaybackError(f"{path}: {item.channel}: {error}") from None
     every = ", ".join(map(str, files))
     if not names:
         raise PlaybackError(f"{every}: no message of these channels that this version can read")
     if len(vehicles) > 1:
         raise PlaybackError(f"{every}: messages of {', '.join(sorted(vehicles))}, expected one vehicle")
     return names, vehicles.pop()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MCAP files, in order")
-    parser.add_argument(
-        "--times",
-        choices=("now", "recorded"),
-        default="now",
-        help="shift times to now, or keep them (default now)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=number_from(0.001, 1000.0),
-        default=1.0,
-        metavar="F",
-        help="playback speed, with --times recorded only (default 1)",
-    )
-    parser.add_argument("--channels", metavar="A,B", help="only these (default: all that were recorded)")
-    parser.add_argument("--without", metavar="A,B", help="omit these channels")
-    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
-    add_bus_options(parser)
-    parser.add_argument(
-        "--timeout", type=SECONDS, default=5.0, metavar="S", help="timeout for joining the bus (default 5)"
-    )
-    return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -19,6 +19,7 @@ from camber.runtime.session import BusError
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS, number_from
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.recording_files import RecordingFiles, RecordingLimits
 
@@ -39,9 +40,8 @@ def main(argv: Sequence[str]) -> int:
         channels = chosen(args.channels, args.without, sweeps=args.sweeps)
         if args.keep_mb is not None and args.keep_mb < 2.0 * args.max_mb:
             # One file is being written, and deleting must leave at least one complete file before it.
-            raise ValueError(
-                f"--keep-mb {args.keep_mb:g}: expected at least {2.0 * args.max_mb:g}, twice --max-mb"
-            )
+            least_mb = 2.0 * args.max_mb
+            raise ValueError(f"--keep-mb {args.keep_mb:g}: expected at least {least_mb:g}, twice --max-mb")
     except ValueError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
@@ -89,15 +89,10 @@ def chosen(names: str | None, without: str | None, *, sweeps: bool) -> tuple[Cha
     left_out = set() if without is None else set(without.split(","))
     known = {channel.name for channel in RECORDABLE}
     for name in sorted((wanted | left_out) - known):
-        expected = (
-            "a query channel, which is not recorded"
-            if name in BY_NAME
-            else f"not one of {', '.join(sorted(known))}"
-        )
-        raise ValueError(f"channel {name!r}: {expected}")
-    channels = tuple(
-        c for c in RECORDABLE if c.name in (wanted | ({"sweep"} if sweeps else set())) - left_out
-    )
+        is_query, others = "a query channel, which is not recorded", f"not one of {', '.join(sorted(known))}"
+        raise ValueError(f"channel {name!r}: {is_query if name in BY_NAME else others}")
+    wanted |= {"sweep"} if sweeps else set()
+    channels = tuple(c for c in RECORDABLE if c.name in wanted - left_out)
     if not channels:
         raise ValueError("no channel is left")
     return channels
@@ -119,46 +114,27 @@ def _write(tap: RawSubscription, files: RecordingFiles, reported: Counter[str]) 
     files.write(items, time.monotonic(), lost=dropped.total() - reported.total())
     if dropped != reported:
         counts = ", ".join(f"{name} {count}" for name, count in sorted(dropped.items()))
-        print(
-            f"{_PROG}: the disk is slower than the bus, dropped so far: {counts}", file=sys.stderr, flush=True
-        )
+        text = f"{_PROG}: the disk is slower than the bus, dropped so far: {counts}"
+        print(text, file=sys.stderr, flush=True)
     return dropped
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__, _HELP)
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the files")
     parser.add_argument("--channels", metavar="A,B", help="record only these (default: all but sweeps)")
     parser.add_argument("--without", metavar="A,B", help="omit these channels")
     parser.add_argument("--sweeps", action="store_true", help="record sweeps too, about 1 MB each")
     above_0, mb = number_from(0.001, 1e8), number_from(1.0, 1e8)
     parser.add_argument("--duration", type=above_0, metavar="S", help="stop after S seconds")
-    parser.add_argument(
-        "--max-mb", type=mb, default=1024.0, metavar="MB", help="maximum size of a file (default 1024)"
-    )
+    add_with_default(parser, "--max-mb", 1024.0, "maximum size of a file", type=mb, metavar="MB")
     parser.add_argument("--max-minutes", type=above_0, metavar="MIN", help="maximum duration of a file")
-    parser.add_argument(
-        "--keep-mb",
-        type=mb,
-        metavar="MB",
-        help="maximum size of all files of this vehicle: the oldest are deleted; at least twice --max-mb",
-    )
-    parser.add_argument(
-        "--leave-mb",
-        type=number_from(0.0, 1e8),
-        default=500.0,
-        metavar="MB",
-        help="free disk space to leave (default 500)",
-    )
+    text = "maximum size of all files of this vehicle: the oldest are deleted; at least twice --max-mb"
+    parser.add_argument("--keep-mb", type=mb, metavar="MB", help=text)
+    free_mb = number_from(0.0, 1e8)
+    add_with_default(parser, "--leave-mb", 500.0, "free disk space to leave", type=free_mb, metavar="MB")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default vehicle)")
     add_bus_options(parser)
-    parser.add_argument(
-        "--timeout", type=SECONDS, metavar="S", help="timeout for joining the bus (default: wait)"
-    )
+    text = "timeout for joining the bus (default: wait)"
+    parser.add_argument("--timeout", type=SECONDS, metavar="S", help=text)
     return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -53,13 +53,9 @@ class RecordingFiles:
             self._write(part, now_s, lost)
             lost = 0
 
-    def close(self) -> None:
-        """Close the current file."""
-        self._end_file()
-
     def _write(self, items: list[RawSample], now_s: float, lost: int) -> None:
         if self._recorder is not None and self._is_full(now_s):
-            self._end_file()
+            self.close()
         if self.problem is None and items and self._recorder is None:
             self._begin_file(items[0].arrival_ns, now_s)
         if self._recorder is None or self.problem is not None:
@@ -75,11 +71,10 @@ class RecordingFiles:
             self._flushed_s = now_s
         if self._recorder.problem is not None:
             self.problem = f"{self._folder}: {self._recorder.problem}"
-            self._end_file()
         else:
             self.problem = self._too_full()
-            if self.problem is not None:
-                self._end_file()
+        if self.problem is not None:
+            self.close()
 
     def _begin_file(self, arrival_ns: int, now_s: float) -> None:
         self.problem = self._too_full()
@@ -117,7 +112,8 @@ class RecordingFiles:
         too_long = limits.file_s is not None and now_s - self._began_s >= limits.file_s
         return too_long or (limits.file_bytes is not None and _size(self.files[-1]) >= limits.file_bytes)
 
-    def _end_file(self) -> None:
+    def close(self) -> None:
+        """Close the current file."""
         recorder, self._recorder = self._recorder, None
         if recorder is None:
             return

@@ -29,13 +29,14 @@ def instants(model: type[Model]) -> tuple[str, ...]:
 
 
 def _moved(model: Model, offset_ns: int) -> Model:
-    instant_fields, id_fields, parts = _plan(type(model))
-    update: dict[str, Any] = {}
-    for names, by in ((instant_fields, offset_ns), (id_fields, offset_ns // NS_PER_FIX_ID)):
-        for name in names:
-            value = getattr(model, name)
-            if value is not None:
-                update[name] = value + by
+    instant_fields, parts = _plan(type(model))
+    shifts = dict.fromkeys(instant_fields, offset_ns)
+    if "fix_id" in type(model).model_fields:
+        shifts["fix_id"] = offset_ns // NS_PER_FIX_ID
+    values = {name: getattr(model, name) for name in shifts}
+    update: dict[str, Any] = {
+        name: value + shifts[name] for name, value in values.items() if value is not None
+    }
     for name in parts:
         value = getattr(model, name)
         if isinstance(value, Model):
@@ -46,11 +47,10 @@ def _moved(model: Model, offset_ns: int) -> Model:
 
 
 @functools.cache
-def _plan(model: type[Model]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return the names of fields that are instants, that are fix ids, and that may contain models."""
-    ids = tuple(name for name in model.model_fields if name == "fix_id")
+def _plan(model: type[Model]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of fields that are instants, and that may contain models."""
     parts = tuple(name for name, info in model.model_fields.items() if _holds_a_model(info.annotation))
-    return instants(model), ids, parts
+    return instants(model), parts
 
 
 def _is_instant(info: FieldInfo) -> bool:
