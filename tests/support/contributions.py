@@ -2,13 +2,52 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
 from camber.map_update.stores.store import Judge, Store
+from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
+_HEADING = {"vehicle": "v1", "datum": "WGS84", "epoch_year": 2024.5, "map_version": 3}
+UPLOAD: dict[str, Any] = _HEADING | {
+    "time_ns": NOW_NS - 1000,
+    "upload_id": "u1",
+    "fix_id": 7,
+    "fix_quality": "fixed",
+    "verdict": "erroneous",
+    "latitude_rad": 0.61,
+    "longitude_rad": 2.39,
+    "road_height_m": 41.25,
+    "road_height_sigma_m": 0.05,
+    "antenna_height_m": 1.7,
+    "position_covariance_enu_m2": (1.0, 0.1, 0.2, 1.5, 0.3, 2.0),
+    "surface_id": 99,
+}
+
+
+def upload(**changes: Any) -> ElevationUpload:
+    return ElevationUpload(**UPLOAD | changes)
+
+
+def batch(records: int = 4, **changes: Any) -> UploadBatch:
+    columns = {
+        "positioning_time_ns": np.full(records, NOW_NS - 5),
+        "fix_id": np.arange(records),
+        "fix_quality": np.zeros(records, np.uint8),
+        "surface_id": np.arange(records),
+        "verdict": np.full(records, 2, np.uint8),
+        "latitude_rad": np.full(records, 0.61),
+        "longitude_rad": np.full(records, 2.39),
+        "horizontal_sigma_m": np.full(records, 0.03),
+        "road_height_m": np.linspace(40.0, 41.0, records),
+        "road_height_sigma_m": np.full(records, 0.05),
+        "antenna_height_m": np.full(records, 1.7),
+    }
+    return UploadBatch(**_HEADING | {"time_ns": NOW_NS, "batch_id": "b1"} | columns | changes)
 
 
 def contribution(

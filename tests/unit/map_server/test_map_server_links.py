@@ -35,8 +35,8 @@ def test_links_within_the_radius_come_whole() -> None:
     assert reply.link_id.tolist() == [1]
     assert (reply.start_node[0], reply.end_node[0], reply.level[0], reply.sigma_m[0]) == (1, 2, 1, 0.5)
     assert reply.first_vertex.tolist() == [0, 3]
-    found = np.column_stack((reply.latitude_rad, reply.longitude_rad))
-    assert np.allclose(found, rows[0]["vertices"], rtol=0.0, atol=1.1e-11)
+    vertices = np.column_stack((reply.latitude_rad, reply.longitude_rad))
+    assert np.allclose(vertices, rows[0]["vertices"], rtol=0.0, atol=1.1e-11)
 
 
 def test_links_of_several_tiles_come_once_each_by_id() -> None:

@@ -1,16 +1,14 @@
-"""The service answers from a good release, follows the folder, and says unknown in every other case."""
+"""The service answers from a valid release, follows the folder, and replies unknown otherwise."""
 
 from __future__ import annotations
 
 import hashlib
 import random
-from collections import Counter
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber.map_server.service import MapServerService
@@ -30,38 +28,16 @@ from camber.schemas.road import (
     TileReply,
     TileRequest,
 )
-from support.small_map import DAY_NS, FRAME, MADE_NS, at, link, surface, write
-
-KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
-LINK = link(1, (1, 2), [(-20.0, 0.0), (20.0, 0.0)])
-
-
-class FakeBus:
-    """What the service uses of the bus."""
-
-    def __init__(self, now_ns: int = MADE_NS + DAY_NS) -> None:
-        self.time_ns = now_ns
-        self.issues: list[tuple[str, str]] = []
-        self.counters: Counter[str] = Counter()
-
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def issue(self, code: str, text: str) -> None:
-        self.issues.append((code, text))
-
-    def count(self, name: str, n: int = 1) -> None:
-        self.counters[name] += n
-
-    def codes(self) -> set[str]:
-        return {code for code, _ in self.issues}
+from support.fake_bus import FakeBus
+from support.release_world import KEY, LINK
+from support.small_map import DAY_NS, FRAME, MADE_NS, at, surface, write
 
 
 class Server:
-    """A service on a fake bus, asked through its table of answers."""
+    """A service on a fake bus, queried through its table of answers."""
 
     def __init__(self, folder: Path | None, **settings: Any) -> None:
-        self.bus = FakeBus()
+        self.bus = FakeBus(MADE_NS + DAY_NS)
         self.service = MapServerService(MapServerSettings(release=folder, **settings), cast(Bus, self.bus))
         self.answers = self.service.answers()
 
@@ -121,7 +97,7 @@ def test_a_good_release_is_served(tmp_path: Path) -> None:
     assert server.bus.counters["elevation.no_surface"] == 1
 
 
-def test_questions_that_wait_together_are_answered_in_their_order(tmp_path: Path) -> None:
+def test_queries_of_one_group_are_answered_in_order(tmp_path: Path) -> None:
     write(tmp_path, [surface(5), surface(6, 100.0)])
     server = Server(tmp_path)
     points = [at(100.0, 0.0), at(0.0, 0.0)]
@@ -141,8 +117,8 @@ def test_places_ahead_are_answered_where_the_road_is_known(tmp_path: Path) -> No
     assert ahead.place.tolist() == [0, 2]
     assert ahead.surface_id.tolist() == [6, 5]
     assert ahead.elevation_m == pytest.approx([50.04, 50.0], abs=1e-4)
-    beside = request.model_copy(update={"latitude_rad": at(0.0, 300.0)[0]})
-    (reply,) = server.answers["elevation"]([beside])
+    far = request.model_copy(update={"latitude_rad": at(0.0, 300.0)[0]})
+    (reply,) = server.answers["elevation"]([far])
     assert cast(Any, reply).road.status == "unknown"
     assert cast(Any, reply).ahead is None
 
@@ -179,7 +155,7 @@ def test_a_release_of_another_datum_does_not_replace_a_good_one(tmp_path: Path) 
     assert not server.service.healthy()
 
 
-def test_a_stale_release_says_nothing(tmp_path: Path) -> None:
+def test_a_stale_release_is_unknown(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)], [LINK])
     server = Server(tmp_path, max_age_days=30.0)
     assert server.road().status == "known"
@@ -250,7 +226,7 @@ def test_a_bad_new_release_leaves_the_old_one_and_is_tried_again(tmp_path: Path)
     assert server.service.healthy()
 
 
-def test_a_clock_that_is_set_back_does_not_stop_the_looking(tmp_path: Path) -> None:
+def test_a_clock_set_back_does_not_stop_the_checks(tmp_path: Path) -> None:
     server = Server(tmp_path)
     write(tmp_path, [surface(5)])
     server.bus.time_ns -= DAY_NS
@@ -261,9 +237,8 @@ def test_a_clock_that_is_set_back_does_not_stop_the_looking(tmp_path: Path) -> N
 def test_a_tile_that_is_damaged_under_the_service_is_unknown(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)], [LINK])
     server = Server(tmp_path)
-    for path in (tmp_path / "blobs").rglob("*"):
-        if path.is_file():
-            path.write_bytes(path.read_bytes()[:-1] + b"\x7f")
+    for path in (tmp_path / "blobs").glob("*/*"):
+        path.write_bytes(path.read_bytes()[:-1] + b"\x7f")
     server.assert_unknown("map_missing")
     assert server.bus.codes() == {"tile_unreadable"}
 
@@ -274,7 +249,7 @@ def test_a_damaged_release_never_makes_a_road_known_from_altered_data(tmp_path: 
     places = [{"link_ids": (1,)}, {"link_ids": (2,)}, {}, {"last_surface_id": 5}]
     good_server = Server(tmp_path)
     want = [good_server.road(**place) for place in places]
-    assert [found.status for found in want] == ["known", "known", "unknown", "known"]
+    assert [answer.status for answer in want] == ["known", "known", "unknown", "known"]
     files = sorted(p for p in tmp_path.rglob("*") if p.is_file())
     rng = random.Random(seed)
     for _ in range(120):
@@ -289,12 +264,12 @@ def test_a_damaged_release_never_makes_a_road_known_from_altered_data(tmp_path: 
         path.write_bytes(good)
 
 
-def test_a_surrogate_map_is_called_one(tmp_path: Path) -> None:
+def test_a_surrogate_map_is_reported(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)], surrogate="made from the drive's truth, sigma 0.05 m")
     assert ("surrogate_map", "made from the drive's truth, sigma 0.05 m") in Server(tmp_path).bus.issues
 
 
-def test_a_newer_release_elsewhere_is_said(tmp_path: Path) -> None:
+def test_a_newer_release_elsewhere_is_reported(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)])
     server = Server(tmp_path)
     on_release = server.service.handlers()["release"]
@@ -315,13 +290,13 @@ def test_the_root_vanishing_changes_no_answer_but_health(tmp_path: Path) -> None
 
 def test_the_page_names_every_setting_and_every_reason() -> None:
     page = (Path(__file__).parents[3] / "docs/services/map_server.md").read_text("utf-8")
-    own = set(MapServerSettings.model_fields) - set(MapServerSettings.__mro__[1].model_fields)  # type: ignore[attr-defined]
+    names = set(MapServerSettings.model_fields) - set(MapServerSettings.__mro__[1].model_fields)  # type: ignore[attr-defined]
     reasons = {"no_surface", "levels_ambiguous", "map_stale", "map_missing", "datum_mismatch"}
-    assert {name for name in own | reasons if f"`{name}`" not in page} == set()
+    assert {name for name in names | reasons if f"`{name}`" not in page} == set()
 
 
 @pytest.mark.parametrize("release", [True, False])
-def test_where_the_store_cannot_be_used_the_release_beside_it_is(tmp_path: Path, release: bool) -> None:
+def test_where_the_store_cannot_be_used_the_release_is_served(tmp_path: Path, release: bool) -> None:
     write(tmp_path / "map", [surface(5)])
     (tmp_path / "store.sqlite").mkdir()  # no file can be opened there
     server = Server(tmp_path / "map" if release else None, store=tmp_path / "store.sqlite")

@@ -1,7 +1,7 @@
 from camber.map_server.warm_up import warm_up
 
 
-def test_a_made_up_road_is_found_with_what_is_around_it() -> None:
-    found = warm_up()
-    assert (found.status, found.elevation_m) == ("known", 50.0)
-    assert found.patch is not None
+def test_it_returns_the_synthetic_road_with_a_patch() -> None:
+    road = warm_up()
+    assert (road.status, road.elevation_m) == ("known", 50.0)
+    assert road.patch is not None

@@ -22,11 +22,11 @@ def test_tiles_are_those_of_single_points(about_rad: float, reach_rad: float) ->
     edge = np.arctan(np.sinh((0.5 - y / TILES) * 2.0 * math.pi))
     latitude[:900] = np.concatenate((edge, np.nextafter(edge, 2.0), np.nextafter(edge, -2.0)))
     latitude[-3:], longitude[-2:] = [math.nan, 0.5, 1.5], [math.inf, 0.0]
-    found = tile_numbers(latitude, longitude).tolist()
-    for number, *point in zip(found[:-3], latitude.tolist(), longitude.tolist(), strict=False):
+    numbers = tile_numbers(latitude, longitude).tolist()
+    for number, *point in zip(numbers[:-3], latitude.tolist(), longitude.tolist(), strict=False):
         tile = tile_of(*point)
         assert number == (-1 if tile is None else tile[0] * TILES + tile[1])
-    assert found[-3:] == [-1, -1, -1]
+    assert numbers[-3:] == [-1, -1, -1]
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 5000])
