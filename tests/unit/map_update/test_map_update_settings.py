@@ -1,4 +1,4 @@
-"""Where uploads are kept and by whom is said in settings; what cannot be meant is refused, and no password is shown."""
+"""Settings of storage and roles: contradictions are refused in one line, and no password is shown."""
 
 import pytest
 
@@ -27,7 +27,7 @@ def loaded(*arguments):
         (["--shards", '["0","1","2","3"]'], "shards: a worker without a queue has one"),
     ],
 )
-def test_what_cannot_be_meant_is_one_line(arguments, complaint):
+def test_a_contradiction_is_one_line(arguments, complaint):
     with pytest.raises(ConfigError) as error:
         loaded(*arguments)
     assert complaint in str(error.value)

@@ -35,7 +35,7 @@ def heights(
     return estimate_heights(np.array([0, n]), votes, known=np.ones(n, bool), vote_sigma_m=SIGMA_M)
 
 
-def test_it_is_the_root_of_the_biweights_psi_that_is_nearest_the_median() -> None:
+def test_the_location_is_the_root_of_psi_nearest_the_median() -> None:
     rng = np.random.default_rng(1)
     x = np.append(rng.normal(0.05, SIGMA_M, 30), [0.4, 0.5, -0.3])
     location_m, _, _, scale_m = biweight_location(x, np.ones(len(x)), SIGMA_M)
@@ -59,7 +59,7 @@ def test_the_standard_error_is_that_of_the_location(n: int) -> None:
     assert location_m.std() == pytest.approx(SIGMA_M / np.sqrt(0.95 * n), rel=0.08)
 
 
-def test_where_votes_scatter_more_than_elsewhere_the_standard_error_says_so() -> None:
+def test_the_standard_error_follows_a_larger_scatter() -> None:
     rng = np.random.default_rng(4)
     x = rng.normal(0.0, 3.0 * SIGMA_M, (500, 30))
     location_m, error_m = biweight(x.ravel(), np.ones(x.size), np.arange(0, x.size + 1, 30), SIGMA_M)
@@ -67,7 +67,7 @@ def test_where_votes_scatter_more_than_elsewhere_the_standard_error_says_so() ->
 
 
 @pytest.mark.parametrize("lie_m", [0.04, 0.06, 0.10, 0.25, 10.0])
-def test_a_fifth_that_agrees_on_a_lie_moves_it_by_less_than_a_spread(lie_m: float) -> None:
+def test_a_coalition_of_a_fifth_moves_the_height_by_less_than_a_spread(lie_m: float) -> None:
     rng = np.random.default_rng(5)
     x = rng.normal(0.0, SIGMA_M, 100)
     x[:20] += lie_m
@@ -87,7 +87,7 @@ def test_a_weak_vote_counts_for_less_and_one_without_weight_for_nothing() -> Non
     assert alone.voters[0] == 2
 
 
-def test_a_vehicle_that_came_ten_times_is_no_louder_than_one_that_came_once() -> None:
+def test_each_vehicle_counts_once() -> None:
     x = np.concatenate((np.full(10, 0.03), np.zeros(4)))
     voter = np.concatenate((np.zeros(10, np.int64), np.arange(1, 5)))
     session = np.concatenate((np.arange(10), np.arange(4)))
@@ -113,7 +113,7 @@ def test_a_road_that_changed_is_the_new_one_though_most_votes_are_of_the_old() -
     assert result.without_highest_m[0] == pytest.approx(0.07, abs=0.02)
 
 
-def test_a_few_newcomers_are_no_change_but_not_believed_to_be_wrong_for_ever() -> None:
+def test_a_few_new_vehicles_are_no_change_and_more_are() -> None:
     """Of 100 vehicles of the last three weeks 20 may be lying, and five must be left."""
     result = changing(2, 200, 18, 0.08)
     assert result.first_session[0] < 3
@@ -127,10 +127,10 @@ def test_a_road_that_did_not_change_has_no_day_of_change(seed: int) -> None:
     assert result.first_session[0] < 3
 
 
-def test_nobody_is_no_height_and_one_is_hardly_any() -> None:
-    nobody = heights(np.zeros(0))
-    assert np.isnan(nobody.location_m[0])
-    assert nobody.voters[0] == 0
+def test_without_votes_there_is_no_height_and_one_is_uncertain() -> None:
+    empty = heights(np.zeros(0))
+    assert np.isnan(empty.location_m[0])
+    assert empty.voters[0] == 0
     one = heights(np.array([0.2]))
     assert one.standard_error_m[0] >= SIGMA_M
     assert np.isnan(one.without_highest_m[0])

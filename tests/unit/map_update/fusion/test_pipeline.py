@@ -35,13 +35,13 @@ def test_changes_are_published_unchanged_roads_are_left_and_the_mean_of_records_
     assert result["mean_false"] > 0
 
 
-def test_a_fifth_of_a_streets_vehicles_brings_nothing_of_theirs_about(run: Run) -> None:
+def test_a_fifth_of_a_streets_vehicles_cannot_change_the_map(run: Run) -> None:
     for result in attacked(run, 1, shares=(0.2,)):
         assert result["theirs"] == 0, result
         assert result["moved_mm"] < 10.0, result
 
 
-def test_a_road_resurfaced_under_way_is_seen_within_the_week(run: Run) -> None:
+def test_a_road_resurfaced_meanwhile_is_detected_within_a_week(run: Run) -> None:
     result = changes_under_way(run)
     assert result["seen"] >= 0.8 * result["surfaces"]
     assert result["between"] <= 0.1 * result["surfaces"]
@@ -55,7 +55,7 @@ def test_votes_of_unknown_surfaces_and_of_other_times_decide_nothing(run: Run) -
     assert len(run.decide(np.zeros(0, VOTE)).surfaces) == 0
 
 
-def test_a_correction_that_the_votes_bear_out_is_left_alone(run: Run) -> None:
+def test_a_correction_that_the_votes_confirm_stays(run: Run) -> None:
     first = run.decide(run.votes).of("publish")
     again = run.fusion.decide(run.votes, first["surface_id"], first["correction_m"], run.now_ns)
     rows = again.surfaces[np.isin(again.surfaces["surface_id"], first["surface_id"])]

@@ -51,7 +51,7 @@ def test_a_road_goes_on_where_its_level_changes() -> None:
     )  # a street that ends beneath it
 
 
-def test_bends_are_judged_by_their_own_sides() -> None:
+def test_rectangles_in_a_bend_meet_by_their_sides() -> None:
     """Both rectangles' circles overlap; turned by 45° they meet only at the nearer distance."""
     near, far = (
         made(surface(1), surface(2, 13.5, 6.0, yaw_rad=math.pi / 4)),
@@ -71,7 +71,7 @@ def test_streets_and_regions_are_squares() -> None:
     assert (np.diff(result.block) >= 0).all() or (np.diff(result.block) <= 0).all()
 
 
-def test_rows_are_found_by_id_and_nothing_is_no_surroundings() -> None:
+def test_rows_by_id_and_an_empty_neighbourhood() -> None:
     result = made(surface(5), surface(3, 40.0))
     assert result.rows_of(np.array([3, 4, 5, 99])).tolist() == [0, -1, 1, -1]
     assert made().rows_of(np.array([1])).tolist() == [-1]

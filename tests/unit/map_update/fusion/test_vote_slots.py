@@ -35,7 +35,7 @@ def keep(votes: Votes, secret: bytes = SECRET, slots: SlotLimits = SLOTS) -> Vot
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_thinned_as_they_arrive_or_at_the_end_the_same_are_thin_votes(seed: int) -> None:
+def test_thinning_as_votes_arrive_keeps_the_same_votes_as_at_the_end(seed: int) -> None:
     parts = [crowd(10 * seed + k, 40) for k in range(5)]
     at_the_end = keep(merge_votes(*parts))
     as_they_come = keep(parts[3])
@@ -44,7 +44,7 @@ def test_thinned_as_they_arrive_or_at_the_end_the_same_are_thin_votes(seed: int)
     assert as_they_come.tobytes() == at_the_end.tobytes()
 
 
-def test_each_period_has_its_own_slots_and_they_are_bounded() -> None:
+def test_slots_of_each_period_are_bounded() -> None:
     result = keep(merge_votes(*(crowd(k, 200) for k in range(3))))
     period = result["session"] // 7
     for one in np.unique(period):
@@ -59,7 +59,7 @@ def test_old_periods_are_dropped_and_so_is_the_future() -> None:
     assert result["session"].tolist() == [TODAY - 27, TODAY]
 
 
-def test_who_drives_by_daily_has_no_better_chance_than_who_came_once() -> None:
+def test_daily_vehicles_get_no_larger_share_of_slots() -> None:
     """A tenth of the vehicles, with seven votes each, get a tenth of the slots: expected 200 of 2,000, σ 13."""
     share = 0
     for seed in range(100):
@@ -71,14 +71,14 @@ def test_who_drives_by_daily_has_no_better_chance_than_who_came_once() -> None:
     assert 150 <= share <= 250
 
 
-def test_who_comes_last_does_not_push_out_who_came_before() -> None:
+def test_later_votes_do_not_displace_earlier_ones() -> None:
     early = crowd(1, 40, range(TODAY - 6, TODAY - 3))
     late = crowd(2, 40, range(TODAY - 1, TODAY + 1))
     names = keep(merge_votes(early, late))["voter"]
     assert 4 <= len(np.intersect1d(names, early["voter"])) <= 16
 
 
-def test_which_names_get_in_nobody_can_tell_without_the_secret_nor_from_another_street() -> None:
+def test_the_voters_kept_depend_on_the_secret_and_on_the_street() -> None:
     votes = crowd(3, 100, range(TODAY - 6, TODAY + 1))
     elsewhere = votes.copy()
     elsewhere["surface_id"] = 2
@@ -90,7 +90,7 @@ def test_which_names_get_in_nobody_can_tell_without_the_secret_nor_from_another_
         assert len(names[k] & names[k - 1]) <= 12
 
 
-def test_where_there_is_room_everything_is_thin_votes() -> None:
+def test_with_enough_slots_all_votes_are_kept() -> None:
     votes = crowd(4, 15)
     assert keep(votes, slots=replace(SLOTS, sessions=7)).tobytes() == votes.tobytes()
     assert len(keep(np.zeros(0, VOTE))) == 0

@@ -93,13 +93,13 @@ def test_one_vote_for_each_surface_voter_and_day() -> None:
     assert len(result) == len(expected)
 
 
-def test_two_wrong_fixes_of_five_do_not_carry_a_session() -> None:
+def test_two_wrong_fixes_of_five_do_not_move_the_vote() -> None:
     value_m, sigma_m, _ = vote_values(votes(observed([100.03, 100.01, 100.8, 100.02, 101.5])))
     assert value_m == pytest.approx([0.03], abs=1e-4)
     assert sigma_m == pytest.approx([0.02])
 
 
-def test_of_many_observations_a_keyed_few_count_that_only_the_secret_chooses() -> None:
+def test_the_secret_selects_the_few_observations_that_count() -> None:
     rows = observed(100.0 + np.arange(40) / 100.0)
     one = votes(rows)
     other = votes_from(rows, 1, reference=Flat(), secret=b"another secret of bytes")
@@ -109,7 +109,7 @@ def test_of_many_observations_a_keyed_few_count_that_only_the_secret_chooses() -
     assert vote_values(one)[0] != vote_values(other)[0]
 
 
-def test_neither_a_verdict_nor_a_large_deviation_keeps_an_observation_out() -> None:
+def test_neither_verdict_nor_deviation_excludes_an_observation() -> None:
     rows = observed([100.3, 100.3, 104.0])
     rows["verdict"] = VERDICTS.index("erroneous")
     value_m, _, variance_m2 = vote_values(votes(rows))
@@ -132,7 +132,7 @@ def test_neither_a_verdict_nor_a_large_deviation_keeps_an_observation_out() -> N
         ("road_height_sigma_m", np.nan),
     ],
 )
-def test_what_is_of_no_use_whatever_it_says_is_left_out(field: str, value: float) -> None:
+def test_unusable_observations_are_excluded(field: str, value: float) -> None:
     rows = observed([100.1, 100.2])
     rows[field][0] = value
     value_m, _, _ = vote_values(votes(rows))
@@ -156,7 +156,7 @@ def test_a_voter_is_a_pseudonym_that_needs_the_secret() -> None:
             voter_of("car-1", secret)
 
 
-def test_nothing_gives_nothing_and_other_rows_are_refused() -> None:
+def test_no_observations_give_no_votes_and_other_rows_are_refused() -> None:
     assert len(votes(observed([]))) == 0 == len(merge_votes())
     with pytest.raises(ValueError, match="expected rows of OBSERVATION"):
         votes(np.zeros(3, [("time_ns", "<i8")]))

@@ -205,7 +205,7 @@ def test_a_file_of_the_first_format_is_brought_to_this_one_with_all_it_holds(pat
         assert again.counts() == (5, 5 + 6 + 7 + 8 + 1)
 
 
-def test_the_file_tells_how_to_read_it_without_this_program(path, store):
+def test_the_file_describes_its_layout_for_other_programs(path, store):
     sent = random_batch("b1", 20, np.random.default_rng(2))
     committed(store, sent)
     with closing(sqlite3.connect(path)) as db:
@@ -225,7 +225,7 @@ def test_a_file_whose_rows_are_laid_out_otherwise_is_refused(path, store):
         SqliteStore(path)
 
 
-def test_what_is_forgotten_is_not_left_in_the_file(path, store):
+def test_forgotten_observations_are_overwritten_in_the_file(path, store):
     sent = contribution("b1", kind="batch", records=300)
     sent.observations["road_height_m"] = 40.123456789
     mark = sent.observations["road_height_m"][:1].tobytes()
