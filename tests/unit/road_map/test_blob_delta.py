@@ -1,4 +1,4 @@
-"""What travels is small, and what comes out is the blob again or an error, whatever is done to it on the way."""
+"""What travels is small, and what comes out is the blob again or an error, whatever happens in transit."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_twenty_surfaces_of_a_thousand_in_a_tile_travel_in_a_few_hundred_bytes()
     assert len(compress_blob(new, base)) < 300 < len(compress_blob(new)) / 100
 
 
-def test_a_change_that_the_numbers_cannot_say_travels_as_a_difference_of_bytes() -> None:
+def test_other_changes_are_sent_as_a_difference_of_bytes() -> None:
     old = a_tile()
     base = encode(old)
     odd = changed(old, [3], sigma_m=old.sigma_m + np.float32(1e-7))
@@ -92,7 +92,7 @@ def test_any_bytes_travel_with_and_without_a_base() -> None:
         assert size < 1000 or len(compress_blob(blob, base)) < 200
 
 
-def test_the_wrong_base_never_gives_the_blob_in_silence() -> None:
+def test_a_wrong_base_never_gives_the_blob() -> None:
     old = a_tile()
     base, new = encode(old), encode(changed(old, [1, 2]))
     for small in (compress_blob(new, base), b"p" + compress_blob(new, new[:-1])[1:]):
@@ -106,7 +106,7 @@ def test_the_wrong_base_never_gives_the_blob_in_silence() -> None:
 @pytest.mark.parametrize(
     "data", [b"", b"x", b"z", b"p", b"s", b"zabc", b"s" + zstandard.compress(b"\xff" * 12)]
 )
-def test_bytes_that_are_none_are_refused(data: bytes) -> None:
+def test_bytes_without_an_encoding_are_refused(data: bytes) -> None:
     with pytest.raises(ReleaseError):
         decompress_blob(data, encode(a_tile(20)))
 
@@ -124,7 +124,7 @@ def test_no_more_is_unpacked_than_the_blob_may_have() -> None:
         decompress_blob(bomb, None, limit=1000)
 
 
-def test_damage_on_the_way_gives_an_error_or_other_bytes() -> None:
+def test_damage_in_transit_gives_an_error_or_other_bytes() -> None:
     seed = int(os.environ.get("CAMBER_SEED", "11"))
     chance = random.Random(seed)
     old = a_tile(60)

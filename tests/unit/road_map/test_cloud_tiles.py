@@ -11,18 +11,18 @@ from camber.road_map.tile_grid import tile_frame, tile_of
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 
 
-def test_every_point_stands_where_it_was_in_its_tile_and_those_near_a_border_in_both() -> None:
+def test_every_point_is_in_its_tile_and_near_a_border_in_both() -> None:
     rng = np.random.default_rng(3)
     points_m = np.column_stack((rng.uniform(-700.0, 700.0, (5000, 2)), rng.uniform(40.0, 60.0, 5000)))
     tiles = cloud_tiles(points_m, FRAME, "road_cloud", 10**18)
     assert len(tiles) > 4
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(points_m[:, :2], 0.0)
-    own = [tile_of(*place) for place in zip(latitude.tolist(), longitude.tolist(), strict=True)]
-    found = {(tile.x, tile.y): tile for tile in tiles}
-    assert set(own) <= set(found)
-    for place, (tile_xy, height_m) in enumerate(zip(own, points_m[:, 2].tolist(), strict=True)):
+    tile_of_point = [tile_of(*place) for place in zip(latitude.tolist(), longitude.tolist(), strict=True)]
+    by_tile = {(tile.x, tile.y): tile for tile in tiles}
+    assert set(tile_of_point) <= set(by_tile)
+    for place, (tile_xy, height_m) in enumerate(zip(tile_of_point, points_m[:, 2].tolist(), strict=True)):
         assert tile_xy is not None
-        tile = found[tile_xy]
+        tile = by_tile[tile_xy]
         plane = tile_frame(*tile_xy).east_north_from_geodetic(latitude[place], longitude[place], 0.0)
         about = tile.quanta * tile.resolution_m + [0.0, 0.0, tile.base_height_m]
         away = np.abs(about - [*plane, height_m]).max(axis=1)

@@ -91,14 +91,14 @@ def test_a_box_finds_every_tile_that_it_touches(
     box, x, y = tiles_of_boxes(
         *(np.array([v]) for v in (latitude_rad, longitude_rad, half_east_m, half_north_m))
     )
-    found = set(zip(x.tolist(), y.tolist(), strict=True))
-    assert len(found) == len(box)
+    tiles = set(zip(x.tolist(), y.tolist(), strict=True))
+    assert len(tiles) == len(box)
     points_m = np.random.default_rng(seed).uniform(-1.0, 1.0, (50, 2)) * (half_east_m, half_north_m)
     points_m[:4] = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (half_east_m, half_north_m)
     frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
     latitude, longitude, _ = frame.geodetic_from_east_north_array(points_m, 0.0)
     inside = {tile_of(*point) for point in zip(latitude.tolist(), longitude.tolist(), strict=True)}
-    assert inside <= found
+    assert inside <= tiles
 
 
 def test_many_boxes_are_each_as_if_alone() -> None:

@@ -6,19 +6,16 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.map_update.fusion.corrections import CORRECTION
-from camber.map_update.release.release_builder import ReleaseBuilder
+from camber.map_update.fusion.corrections import NONE
 from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServer
 from camber.schemas.codec import decode, encode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from camber.schemas.road import CloudTile, ReleaseRoot
+from support.release_world import making, offsets
 from support.small_map import MADE_NS, surface, write
-
-KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 
 
 def root_of(serving: ReleaseServer, region: str = "test", have: str | None = None) -> MapRootReply:
@@ -64,12 +61,10 @@ def test_a_large_blob_comes_in_parts_that_fit_into_replies(tmp_path: Path) -> No
 
 
 def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
-    rows = [surface(k, 20.0 * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(10)]
-    write(tmp_path / "in", rows)
-    making = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=KEY)
-    making.build(np.zeros(0, CORRECTION), time_ns=MADE_NS)
+    builder = making(tmp_path)
+    builder.build(NONE, time_ns=MADE_NS)
     old = open_release(tmp_path / "out")
-    making.build(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)
+    builder.build(offsets(s3=0.05), time_ns=MADE_NS)
     new = open_release(tmp_path / "out")
     serving = ReleaseServer(tmp_path / "out")
     for xy in new.tiles("surfaces"):
@@ -77,9 +72,8 @@ def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
         assert digest is not None
         if digest != base:
             assert len(fetched(serving, digest, base)[0].payload) < 60
-            assert put_together(fetched(serving, digest, base), old.blob("surfaces", *xy)) == new.blob(
-                "surfaces", *xy
-            )
+            whole = put_together(fetched(serving, digest, base), old.blob("surfaces", *xy))
+            assert whole == new.blob("surfaces", *xy)
     no_longer_here = "0" * 64
     whole = put_together(fetched(serving, new.root.manifest_sha256, no_longer_here))
     assert hashlib.sha256(whole).hexdigest() == new.root.manifest_sha256

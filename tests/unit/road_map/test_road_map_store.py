@@ -17,6 +17,11 @@ from support.release_world import KEY, OTHER_KEY
 from support.small_map import surface, write
 
 
+@pytest.fixture
+def store(tmp_path: Path) -> MapStore:
+    return MapStore(tmp_path / "map.sqlite")
+
+
 def stored(store: MapStore, folder: Path, *, in_force: bool = True, leave_out: int = 0) -> int:
     """Take all of a folder's release into the store; returns its version."""
     release = open_release(folder)
@@ -31,13 +36,8 @@ def stored(store: MapStore, folder: Path, *, in_force: bool = True, leave_out: i
 
 
 def root(folder: Path, version: int, *, region: str = "test", key: Ed25519PrivateKey | None = KEY) -> bytes:
-    write(
-        folder / "other",
-        [surface(1, heights_m=10.0 * version)],
-        map_version=version,
-        region=region,
-        signing_key=key,
-    )
+    rows = [surface(1, heights_m=10.0 * version)]
+    write(folder / "other", rows, map_version=version, region=region, signing_key=key)
     return (folder / "other" / ROOT_NAME).read_bytes()
 
 
@@ -46,12 +46,10 @@ def test_a_release_is_read_from_the_store_as_from_its_folder(tmp_path: Path) -> 
     store = MapStore(tmp_path / "map.sqlite")
     assert store.stamp() is None
     stored(store, tmp_path / "map")
-    mine = read_release(store, public_key=KEY.public_key())
-    theirs = read_release(tmp_path / "map")
-    assert mine.manifest == theirs.manifest
-    assert [mine.blob("surfaces", *xy) for xy in mine.tiles("surfaces")] == [
-        theirs.blob("surfaces", *xy) for xy in theirs.tiles("surfaces")
-    ]
+    copy, original = read_release(store, public_key=KEY.public_key()), read_release(tmp_path / "map")
+    assert copy.manifest == original.manifest
+    for xy in original.tiles("surfaces"):
+        assert copy.blob("surfaces", *xy) == original.blob("surfaces", *xy)
 
 
 def test_what_is_in_force_outlives_the_process_and_is_watched_by_another(tmp_path: Path) -> None:
@@ -95,8 +93,9 @@ def test_a_tile_that_was_not_fetched_is_missing_and_not_empty(tmp_path: Path) ->
         ("bytes", "ReleaseRoot"),
     ],
 )
-def test_a_root_that_may_not_come_is_refused_and_named(tmp_path: Path, name: str, expected: str) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_an_unacceptable_root_is_refused_and_named(
+    tmp_path: Path, store: MapStore, name: str, expected: str
+) -> None:
     write(tmp_path / "map", [surface(1)], map_version=8, signing_key=KEY)
     stored(store, tmp_path / "map")
     data = {
@@ -114,8 +113,9 @@ def test_a_root_that_may_not_come_is_refused_and_named(tmp_path: Path, name: str
     assert (store.coming(), store.highest()) == (None, 8)
 
 
-def test_only_the_operator_goes_back_and_what_was_left_does_not_return(tmp_path: Path) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_only_the_operator_goes_back_and_what_was_left_does_not_return(
+    tmp_path: Path, store: MapStore
+) -> None:
     roots = {}
     for version in (7, 8):
         write(tmp_path / "map", [surface(1, heights_m=version)], map_version=version)
@@ -128,15 +128,11 @@ def test_only_the_operator_goes_back_and_what_was_left_does_not_return(tmp_path:
     with pytest.raises(ReleaseError, match="one before"):
         store.go_back()
     assert store.accept(root(tmp_path, 9), file="cloud", region=None, public_key=None)
-    assert [(kept.map_version, kept.state) for kept in store.releases()] == [
-        (9, "coming"),
-        (8, "left"),
-        (7, "here"),
-    ]
+    states = [(kept.map_version, kept.state) for kept in store.releases()]
+    assert states == [(9, "coming"), (8, "left"), (7, "here")]
 
 
-def test_the_operator_can_let_versions_begin_anew(tmp_path: Path) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_the_operator_can_allow_lower_versions(tmp_path: Path, store: MapStore) -> None:
     write(tmp_path / "map", [surface(1)], map_version=80)
     stored(store, tmp_path / "map")
     with pytest.raises(ReleaseError, match="80 or more"):
@@ -145,8 +141,7 @@ def test_the_operator_can_let_versions_begin_anew(tmp_path: Path) -> None:
     assert store.accept(root(tmp_path, 3), file="cloud", region=None, public_key=None)
 
 
-def test_what_no_kept_release_needs_goes(tmp_path: Path) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_blobs_that_no_kept_release_needs_are_deleted(tmp_path: Path, store: MapStore) -> None:
     for version in (1, 2, 3, 4):
         write(tmp_path / "map", [surface(1, heights_m=version), surface(2, 900.0)], map_version=version)
         stored(store, tmp_path / "map")
@@ -177,15 +172,14 @@ def test_a_full_store_refuses_and_keeps_what_it_has(tmp_path: Path) -> None:
     store.put_part("1" * 64, None, 0, bytes(10_000))
 
 
-def test_parts_are_those_of_one_base_and_without_gaps(tmp_path: Path) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_parts_are_those_of_one_base_and_without_gaps(tmp_path: Path, store: MapStore) -> None:
     for number in (0, 1, 3):
         store.put_part("a" * 64, "b" * 64, number, bytes([number]))
     assert store.parts("a" * 64, "b" * 64) == [b"\0", b"\1"]
     assert store.parts("a" * 64, None) == []
 
 
-def test_a_damaged_file_is_moved_aside_and_begun_anew(tmp_path: Path) -> None:
+def test_a_damaged_file_is_renamed_and_a_new_one_started(tmp_path: Path) -> None:
     path = tmp_path / "map.sqlite"
     path.write_bytes(b"this was a map" * 1000)
     store = MapStore(path)
@@ -194,8 +188,7 @@ def test_a_damaged_file_is_moved_aside_and_begun_anew(tmp_path: Path) -> None:
     assert path.with_name("map.sqlite.corrupt").exists()
 
 
-def test_a_blob_changed_on_the_disk_is_never_given_out(tmp_path: Path) -> None:
-    store = MapStore(tmp_path / "map.sqlite")
+def test_a_blob_changed_on_the_disk_is_never_returned(tmp_path: Path, store: MapStore) -> None:
     write(tmp_path / "map", [surface(1)])
     stored(store, tmp_path / "map")
     release = open_release(store)
@@ -209,7 +202,7 @@ def test_a_blob_changed_on_the_disk_is_never_given_out(tmp_path: Path) -> None:
         store.put(digest, b"other bytes")
 
 
-def test_a_store_of_a_later_program_is_left_alone(tmp_path: Path) -> None:
+def test_a_store_of_a_later_program_is_not_changed(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "map.sqlite") as db:
         db.execute("PRAGMA user_version = 99")
     with pytest.raises(ReleaseError, match="later version"):

@@ -23,7 +23,7 @@ def one(row: int, east_m: float, north_m: float) -> tuple[float, float]:
     return float(height_m[0]), float(outside_m[0])
 
 
-def test_ids_are_found_in_any_order_and_an_unknown_one_is_no_row() -> None:
+def test_rows_by_id_in_any_order_and_none_for_an_unknown_one() -> None:
     heights = SurfaceHeights(surfaces([surface(9), surface(2**62), surface(4)]))
     assert heights.rows_of([4, 9, 5, 2**62, 0, -7]).tolist() == [2, 0, -1, 1, -1, -1]
     assert SurfaceHeights(surfaces([])).rows_of([4]).tolist() == [-1]
@@ -71,7 +71,7 @@ def test_heights_are_those_of_the_map_server_within_a_tenth_of_a_millimetre(seed
     assert compared > 300
 
 
-def test_outside_its_rectangle_a_surface_goes_on_and_says_how_far() -> None:
+def test_outside_its_rectangle_a_surface_is_extrapolated_with_its_distance() -> None:
     turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
     height_m, outside_m = one(0, *(turn @ (13.0, 6.0)))
     assert outside_m == pytest.approx(5.0, abs=1e-6)  # 3 m ahead of it and 4 m to its left
@@ -80,7 +80,7 @@ def test_outside_its_rectangle_a_surface_goes_on_and_says_how_far() -> None:
     assert one(0, 0.0, 0.0)[1] == 0.0
 
 
-def test_of_what_is_unknown_no_height_is_near() -> None:
+def test_an_unknown_surface_or_point_has_no_height() -> None:
     for height_m, outside_m in [one(-1, 0.0, 0.0), one(0, 2e5, 0.0)]:
         assert math.isnan(height_m)
         assert outside_m == math.inf

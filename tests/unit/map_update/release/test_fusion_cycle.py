@@ -180,18 +180,12 @@ def test_the_next_cycle_applies_accepted_changes_and_roll_backs(tmp_path: Path, 
     all_steps(cycle, NOW_NS)
     review = ReviewFolder(tmp_path / "out")
     assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
-    accepted = [
-        ReviewDecision(
-            surface_id=h.surface_id,
-            action="accept",
-            offset_m=h.offset_m,
-            who="ann",
-            why="a new bridge",
-            time_ns=NOW_NS,
+    signed = {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS}
+    for held in review.held():
+        decision = ReviewDecision(
+            surface_id=held.surface_id, action="accept", offset_m=held.offset_m, **signed
         )
-        for h in review.held()
-    ]
-    review.append(accepted)
+        review.append([decision])
     published = cycle.step(NOW_NS + 2 * 10**9)
     assert isinstance(published, FusionDecision)
     assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import FORMAT, FusionStep, StoreError
+from camber.map_update.stores.store import FORMAT, FusionStep, StoreError, ledger_row
 from support.contributions import NOW_NS, committed, contribution, random_batch
 
 
@@ -175,17 +175,9 @@ def file_of_format_1(path, contributions):
             f"CREATE TABLE observation (contribution INTEGER REFERENCES contribution, {', '.join(names)})"
         )
         for number, c in enumerate(contributions, 1):
-            row = (
-                number,
-                *c.name,
-                c.digest(),
-                NOW_NS,
-                len(c.observations),
-                c.datum,
-                c.map_version,
-                c.epoch_year,
+            db.execute(
+                f"INSERT INTO contribution VALUES (?{', ?' * 10})", ledger_row(number, c, c.digest(), NOW_NS)
             )
-            db.execute(f"INSERT INTO contribution VALUES ({', ?' * 11})".replace("(,", "("), (*row, None))
             for values in c.observations.tolist():
                 db.execute(f"INSERT INTO observation VALUES (?{', ?' * len(names)})", (number, *values))
         db.execute("PRAGMA user_version = 1")

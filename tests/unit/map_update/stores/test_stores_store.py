@@ -1,4 +1,4 @@
-"""What a store has acknowledged it has, once; what it could not store it has not acknowledged. Of every database."""
+"""Every store has once what it acknowledged, and acknowledged nothing that it could not store."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
@@ -106,16 +106,8 @@ def test_a_batch_is_one_ledger_row_and_all_its_observations_once(store):
     assert store.counts() == (1, 1000)
     page = store.observations_after(0, 10_000)
     assert (len(page.entries), len(page.rows)) == (1, 1000)
-    assert page.entries[0] == LedgerEntry(
-        number=page.cursor,
-        vehicle="v1",
-        kind="batch",
-        id="b1",
-        received_ns=NOW_NS,
-        datum="WGS84",
-        map_version=1,
-        epoch_year=2024.0,
-    )
+    expected = {"number": page.cursor, "vehicle": "v1", "kind": "batch", "id": "b1", "received_ns": NOW_NS}
+    assert page.entries[0] == LedgerEntry(**expected, datum="WGS84", map_version=1, epoch_year=2024.0)
 
 
 def test_numbers_come_back_bit_for_bit(store):
@@ -149,9 +141,13 @@ def test_reading_goes_on_at_the_cursor_in_whole_contributions_and_leaves_none_ou
     assert [entry.id for entry in store.observations_after(cursor, 10).entries] == ["later"]
 
 
-def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicates(store):
-    for n in range(4):
+def commit_one_by_one(store: Store, count: int) -> None:
+    for n in range(count):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+
+
+def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicates(store):
+    commit_one_by_one(store, 4)
     assert store.forget(NOW_NS + 10) == 0
     third = store.observations_after(0, 100).entries[2].number
     store.advance(store.progress(), FusionStep(cursor=third))
@@ -165,8 +161,7 @@ def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicat
 
 
 def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_not_given_again(store):
-    for n in range(4):
-        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    commit_one_by_one(store, 4)
     last = store.observations_after(0, 100).entries[3].number
     assert store.prune(NOW_NS + 10) == 0
     store.advance(store.progress(), FusionStep(cursor=last))
@@ -181,8 +176,7 @@ def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_
 
 
 def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
-    for n in range(3):
-        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    commit_one_by_one(store, 3)
     store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     store.forget(NOW_NS + 10)
     assert store.prune(NOW_NS + 1) == 1
@@ -190,8 +184,7 @@ def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
 
 
 def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
-    for n in range(5):
-        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    commit_one_by_one(store, 5)
     store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     assert [store.forget(NOW_NS + 5, most=2) for _ in range(4)] == [2, 2, 1, 0]
 
