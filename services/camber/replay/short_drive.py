@@ -137,15 +137,17 @@ def short_drive_truth(start_ns: int = START_NS) -> TruthTable:
     latitude, longitude, _ = _ORIGIN.geodetic_from_east_north_array(plane_m, height_m)
     states = [_state(t) for t in time_s.tolist()]
     return TruthTable(
-        start_ns + np.arange(n, dtype=np.int64) * (1_000_000_000 // RATE_HZ),
-        latitude,
-        longitude,
-        height_m,
-        np.zeros(n),
-        -np.arctan(grade),  # nose up is negative about an axis to the left
-        wrap_pi_array(yaw_rad),
-        np.column_stack((np.cos(yaw_rad), np.sin(yaw_rad), grade)) * speed_m_s[:, None],
-        np.array([FIX_STATES.index(s if s in ("right", "wrong") else "none") for s in states], dtype=np.int8),
+        time_ns=start_ns + np.arange(n, dtype=np.int64) * (1_000_000_000 // RATE_HZ),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height_m,
+        roll_rad=np.zeros(n),
+        pitch_rad=-np.arctan(grade),  # nose up is negative about an axis to the left
+        yaw_rad=wrap_pi_array(yaw_rad),
+        velocity_enu_m_s=np.column_stack((np.cos(yaw_rad), np.sin(yaw_rad), grade)) * speed_m_s[:, None],
+        fix_state=np.array(
+            [FIX_STATES.index(s if s in ("right", "wrong") else "none") for s in states], dtype=np.int8
+        ),
     )
 
 

@@ -42,14 +42,14 @@ def interpolate_truth(
         return wrap_pi_array(values[i0] + share * wrap_pi_array(values[i1] - values[i0]))
 
     table = TruthTable(
-        asked,
-        between(truth.latitude_rad),
-        angle(truth.longitude_rad),
-        between(truth.height_m),
-        angle(truth.roll_rad),
-        angle(truth.pitch_rad),
-        angle(truth.yaw_rad),
-        between(truth.velocity_enu_m_s),
+        time_ns=asked,
+        latitude_rad=between(truth.latitude_rad),
+        longitude_rad=angle(truth.longitude_rad),
+        height_m=between(truth.height_m),
+        roll_rad=angle(truth.roll_rad),
+        pitch_rad=angle(truth.pitch_rad),
+        yaw_rad=angle(truth.yaw_rad),
+        velocity_enu_m_s=between(truth.velocity_enu_m_s),
     )
     return table, known
 

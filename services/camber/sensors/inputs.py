@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import Generic, Protocol, TypeVar
 
-from camber.formats.drive.timed_file import Timed, TimedFile
+from camber.formats.drive.timed_file import TimedFile, TimedItem
 from camber.formats.errors import FormatError
 from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 
-T = TypeVar("T", bound=Timed)
+T = TypeVar("T", bound=TimedItem)
 _PAUSE_NS = 10_000_000_000  # what comes so much later was recorded after a pause, or a clock was set
 _LOST = ("skipped_truncated", "skipped_fragment")
 

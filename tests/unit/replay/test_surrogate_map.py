@@ -38,7 +38,16 @@ def drive_along(
     latitude, longitude, height = FRAME.geodetic_from_east_north_array(track[:, :2], track[:, 2] + ANTENNA_M)
     zero = np.zeros(n)
     time_ns = 1_400_000_000 * 10**9 + np.arange(n) * 200_000_000
-    return TruthTable(time_ns, latitude, longitude, height, zero, zero, zero, np.zeros((n, 3)))
+    return TruthTable(
+        time_ns=time_ns,
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height,
+        roll_rad=zero,
+        pitch_rad=zero,
+        yaw_rad=zero,
+        velocity_enu_m_s=np.zeros((n, 3)),
+    )
 
 
 def plane(truth: TruthTable) -> Array:

@@ -28,7 +28,14 @@ def circle(n: int = 400, speed_m_s: float = 6.0, radius_m: float = 30.0) -> Trut
     zero = np.zeros(n)
     time_ns = START_NS + np.arange(n) * 200_000_000
     return TruthTable(
-        time_ns, latitude, longitude, height, zero, zero, (yaw + np.pi) % (2 * np.pi) - np.pi, velocity
+        time_ns=time_ns,
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height,
+        roll_rad=zero,
+        pitch_rad=zero,
+        yaw_rad=(yaw + np.pi) % (2 * np.pi) - np.pi,
+        velocity_enu_m_s=velocity,
     )
 
 

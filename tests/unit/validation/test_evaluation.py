@@ -32,7 +32,7 @@ MS = 1_000_000
 
 
 def wrap(message: Any, arrival_ns: int = 0) -> Recorded[Any]:
-    return Recorded("", "", message, "", 0, arrival_ns)
+    return Recorded(channel="", key="", message=message, source="", sequence=0, arrival_ns=arrival_ns)
 
 
 def time_ns(epoch: int) -> int:

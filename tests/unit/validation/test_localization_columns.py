@@ -25,8 +25,9 @@ def truth(rows: int = 5, **more: list[float]) -> TruthTable:
     places = np.array([at(s * math.cos(YAW_RAD), s * math.sin(YAW_RAD)) for s in along])
     zeros = np.zeros(rows)
     return TruthTable(
-        START_NS + np.arange(rows) * NS // 2, places[:, 0], places[:, 1], zeros + 50.0, zeros, zeros,
-        zeros + YAW_RAD, np.zeros((rows, 3)), None, {name: np.array(column) for name, column in more.items()},
+        time_ns=START_NS + np.arange(rows) * NS // 2, latitude_rad=places[:, 0], longitude_rad=places[:, 1],
+        height_m=zeros + 50.0, roll_rad=zeros, pitch_rad=zeros, yaw_rad=zeros + YAW_RAD,
+        velocity_enu_m_s=np.zeros((rows, 3)), more={name: np.array(column) for name, column in more.items()},
     )  # fmt: skip
 
 

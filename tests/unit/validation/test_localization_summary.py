@@ -21,7 +21,10 @@ STEP_NS = 100_000_000
 
 
 def wrap(*messages: Any) -> list[Recorded[Any]]:
-    return [Recorded("", "", message, "", 0, 0) for message in messages]
+    return [
+        Recorded(channel="", key="", message=message, source="", sequence=0, arrival_ns=0)
+        for message in messages
+    ]
 
 
 def pose(step: int, mode: PoseMode) -> Pose:

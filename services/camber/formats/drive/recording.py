@@ -9,7 +9,7 @@
     sequence          the sender's, modulo 2**32
 
 `Recorder.tick_done` writes what came in the order of time of measurement, channel table, key and sequence:
-two replays of one drive differ in nothing but `publish_time`. Source: MCAP 1.0 specification, mcap.dev.
+two replays of one drive differ only in `publish_time`. Source: MCAP 1.0 specification, mcap.dev.
 """
 
 from __future__ import annotations
@@ -51,22 +51,15 @@ _SCHEMAS: dict[str, type[Message]] = {
 # Small enough that a killed recorder loses little, large enough to compress. LZ4 is twice as fast as zstd.
 _CHUNK_BYTES = 256 << 10
 _FLUSH_AFTER_NS = 10_000_000_000
-_MAX_HEADER = 1 << 16
-_MOST_UNKNOWN_SCHEMAS = 256
+_MAX_HEADER = 1 << 16  # `schemas/codec.py`
+_MOST_UNKNOWN_SCHEMAS = 256  # chosen: MCAP numbers 65,535
 _LENGTH = struct.Struct("<I")
-_UINT64_MAX = (1 << 64) - 1
+_UINT64_MAX = (1 << 64) - 1  # MCAP 1.0: type of log_time
 
 # Everything that a damaged file makes the MCAP library and its decompressors raise.
 _DAMAGE = (
-    McapError,
-    EOFError,
-    MemoryError,
-    OverflowError,
-    RuntimeError,
-    ValueError,
-    KeyError,
-    struct.error,
-    zstandard.ZstdError,
+    *(McapError, EOFError, MemoryError, OverflowError, RuntimeError, ValueError, KeyError),
+    *(struct.error, zstandard.ZstdError),
 )
 
 
@@ -74,9 +67,9 @@ class RecordingError(FormatError):
     """A recording is damaged, cut short, or holds messages that this version cannot read."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded(Generic[M]):
-    """A message as the recorder got it; `arrival_ns` is its wall clock, Unix nanoseconds."""
+    """A message as the recorder received it; `arrival_ns` is its wall clock, Unix nanoseconds."""
 
     channel: str
     key: str
@@ -94,11 +87,11 @@ _Pending = tuple[int, int, str, int, bytes, int, str, str]
 class Recorder:
     """Writes a recording. `add` may be called from any thread, the rest from one.
 
-    A full disk or a broken one ends the recording, not the program: `problem` then says why, `dropped` counts
-    what came after and the chunk that did not reach the disk, and what is `written` can be read. What exceeds
-    `limit_bytes` within one tick is dropped too, and what is no message is counted in `malformed`, as one more schema
-    of no version is where a file has many such already.
-    Raises OSError where the file cannot be made; with `anew` FileExistsError where there is one.
+    A full or broken disk ends the recording, not the program: `problem` is then the reason, `dropped` counts later
+    messages and those of the chunk that did not reach the disk, and what is `written` can be read. Beyond `limit_bytes`
+    within one tick messages are dropped too. `malformed` counts payloads that are no message, and those of unknown
+    schemas where a file has many such already. Raises OSError where the file cannot be created; with `anew`
+    FileExistsError where it exists.
     """
 
     def __init__(self, path: Path, *, limit_bytes: int = 64 << 20, anew: bool = False) -> None:
@@ -127,7 +120,7 @@ class Recorder:
         self.close()
 
     def add(self, channel: str, payload: bytes, *, key: str, arrival_ns: int) -> None:
-        """Take one message of a channel of the table, as it was on the bus under `key`."""
+        """Add one message of a channel of the table, as it was on the bus under `key`."""
         envelope = _envelope(payload)
         with self._lock:
             if self.problem is not None:
@@ -144,7 +137,7 @@ class Recorder:
                 )
 
     def tick_done(self, up_to_ns: int | None = None) -> None:
-        """Write what was measured up to a time (None: all that came), in the order that does not depend on arrival."""
+        """Write what was measured up to a time (None: all), in an order that does not depend on arrival."""
         with self._lock:
             pending, self._pending = self._pending, []
             if up_to_ns is not None:
@@ -165,7 +158,7 @@ class Recorder:
             self._stop(error)
 
     def flush(self) -> None:
-        """What is written reaches the file now, and could be read after a kill."""
+        """Flush to the file, so that it can be read after a kill."""
         if self.problem is not None:
             return
         try:
@@ -188,7 +181,7 @@ class Recorder:
             self._stop(error)
 
     def _has_room_for(self, schema: str) -> bool:
-        """Other versions' messages are kept too; a sender of ever new names must not use up the numbers of MCAP."""
+        """Whether a schema has a number: unknown ones are kept too, but must not use up the numbers of MCAP."""
         if schema not in _SCHEMAS and len(self._unknown_schemas) < _MOST_UNKNOWN_SCHEMAS:
             self._unknown_schemas.add(schema)
         return schema in _SCHEMAS or schema in self._unknown_schemas
@@ -197,13 +190,14 @@ class Recorder:
         time_ns, _, key, sequence, payload, arrival_ns, schema, channel = item
         number = self._mcap_channels.get((key, schema)) or self._register(channel, key, schema)
         self._settle()
-        self._writer.add_message(number, time_ns, payload, arrival_ns, sequence & 0xFFFFFFFF)
+        times = {"log_time": time_ns, "publish_time": arrival_ns}
+        self._writer.add_message(number, data=payload, sequence=sequence & 0xFFFFFFFF, **times)
         self.written += 1
         self._in_chunk += 1
         self._settle()
 
     def _settle(self) -> None:
-        """Where the library has just ended a chunk by itself: all that is written so far is to reach the file."""
+        """Flush the file where the library has ended a chunk by itself."""
         if self._stream.tell() != self._end:
             self._stream.flush()
             self._end, self._in_chunk = self._stream.tell(), 0
@@ -221,8 +215,7 @@ class Recorder:
         return number
 
     def _flush_now_and_then(self, pending: list[_Pending]) -> None:
-        # By measured time, so that the file's chunks do not depend on the machine's speed. Whoever does not know what
-        # times come calls `flush`.
+        # By measured time, so that the file's chunks do not depend on the machine's speed; live recorders call `flush`.
         newest_ns = max((item[0] for item in pending), default=None)
         if newest_ns is None:
             return
@@ -242,7 +235,7 @@ class Recorder:
 
 
 def _envelope(payload: bytes) -> tuple[str, int, int] | None:
-    """Schema, time and sequence number of a message without decoding the rest; None if it is no message."""
+    """Return schema, time and sequence number without decoding the rest; None for a malformed message."""
     try:
         (length,) = _LENGTH.unpack_from(payload)
         if length > _MAX_HEADER:
@@ -273,46 +266,42 @@ class _JsonSchema(GenerateJsonSchema):
         if not isinstance(kind, ArrayOf):
             return super().function_plain_schema(schema)
         shape = " × ".join(str(length) for length in kind.shape)
-        return {
-            "type": "string",
-            "contentEncoding": "raw",
-            "description": f"raw array of {kind.dtype}, {shape}",
-        }
+        description = f"raw array of {kind.dtype}, {shape}"
+        return {"type": "string", "contentEncoding": "raw", "description": description}
 
 
 def json_schema(cls: type[Message]) -> dict[str, Any]:
-    """JSON Schema of a message's fields; an array is a `raw` string with its dtype and shape."""
+    """Return the JSON Schema of a message's fields; an array is a `raw` string with its dtype and shape."""
     return cls.model_json_schema(schema_generator=_JsonSchema)
 
 
 def read_recording(
     path: Path, channels: Collection[str] | None = None
 ) -> Iterator[Recorded[Any] | RecordingError]:
-    """The messages of these channels (all by default) in the order of the file.
+    """Yield the messages of these channels (all by default) in the order of the file.
 
-    A damaged or cut file gives what stands before the damage and then one RecordingError; messages that
-    cannot be decoded give one RecordingError for each schema, at the end. Raises OSError if the file cannot
-    be opened.
+    A damaged file yields the messages before the damage, then one RecordingError; messages that cannot be decoded are
+    one RecordingError per schema, at the end. Raises OSError if the file cannot be opened.
     """
-    reading = _Reading(path, None if channels is None else frozenset(channels))
+    reader = _RecordingReader(path, None if channels is None else frozenset(channels))
     with path.open("rb") as stream:
         # A damaged length then asks for no more memory than the file has bytes.
         limit = max(path.stat().st_size, 1)
         records = StreamReader(stream, validate_crcs=True, record_size_limit=limit).records
         try:
             for record in records:
-                recorded = reading.take(record)
+                recorded = reader.take(record)
                 if recorded is not None:
                     yield recorded
         except _DAMAGE as error:
-            yield reading.damage(error, stream.tell())
-    yield from reading.undecoded()
+            yield reader.damage(error, stream.tell())
+    yield from reader.undecoded()
 
 
 def load_recording(
     path: Path, channels: Collection[str] | None = None
 ) -> tuple[dict[str, list[Recorded[Any]]], list[RecordingError]]:
-    """`read_recording` as lists by channel (empty where nothing was recorded), and what was wrong."""
+    """Return `read_recording` as lists by channel (empty where nothing was recorded), and the errors."""
     lists: dict[str, list[Recorded[Any]]] = {name: [] for name in (BY_NAME if channels is None else channels)}
     errors: list[RecordingError] = []
     for item in read_recording(path, channels):
@@ -323,8 +312,8 @@ def load_recording(
     return lists, errors
 
 
-class _Reading:
-    """What has been met in a file so far: its schemas and channels, and what could not be decoded."""
+class _RecordingReader:
+    """Schemas and channels of a file so far, and counts of messages that could not be decoded."""
 
     def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
         self._name = path.name
@@ -359,7 +348,14 @@ class _Reading:
             self._failed[schema] += 1
             self._first_failure.setdefault(schema, str(error))
             return None
-        return Recorded(name, key, received.message, received.source, received.sequence, record.publish_time)
+        return Recorded(
+            channel=name,
+            key=key,
+            message=received.message,
+            source=received.source,
+            sequence=received.sequence,
+            arrival_ns=record.publish_time,
+        )
 
     def damage(self, error: BaseException, offset: int) -> RecordingError:
         kind = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -370,6 +366,3 @@ class _Reading:
         for schema, count in sorted(self._failed.items()):
             expected = f"messages of this version, but {count} are not: {self._first_failure[schema][:200]}"
             yield RecordingError(self._name, "schema", expected, actual=schema)
-
-
-__all__ = ["Recorded", "Recorder", "RecordingError", "json_schema", "load_recording", "read_recording"]

@@ -1,4 +1,4 @@
-"""A recording of timed items, read as far as its time has come."""
+"""A recording of timed items, read up to a time."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from typing import Generic, Protocol, TypeVar
 
 from camber.formats.errors import FormatError
 
-_CHUNK_BYTES = 1 << 16
-_MOST_AT_ONCE = 4096
-_MOST_DAMAGES = 1000  # one after the other
-_BACK_NS = 1_000_000_000  # by so much items may be out of order; more is a clock that was set
+_CHUNK_BYTES = 1 << 16  # chosen: memory of a file reader
+_MOST_AT_ONCE = 4096  # chosen: bounds one call
+_MOST_DAMAGES = 1000  # chosen: so many in a row are another format
+_BACK_NS = 1_000_000_000  # chosen: items may be out of order by so much; more is a clock that was set
 
 
-class Timed(Protocol):
+class TimedItem(Protocol):
     """`time_ns`: UTC, nanoseconds since 1970."""
 
     @property
     def time_ns(self) -> int:
-        """When it was recorded."""
+        """Time of recording."""
 
 
-T = TypeVar("T", bound=Timed)
+T = TypeVar("T", bound=TimedItem)
 
 
 class Decoder(Protocol[T]):
-    """Of a stream of bytes; `skipped` counts what is passed over, by reason."""
+    """Decoder of a byte stream; `skipped` counts ignored items by reason."""
 
     skipped: Counter[str]
 
     def feed(self, data: bytes) -> list[T | FormatError]:
-        """What is complete with these bytes."""
+        """Return the items that these bytes complete."""
 
     def finish(self) -> list[T | FormatError]:
-        """What is left at the end."""
+        """Return the remaining items at the end."""
 
 
 class TimedFile(Generic[T]):
-    """Items in the file's order; `ended` once all were handed out. Raises OSError where it cannot be read.
+    """Items in the file's order; `ended` once all were returned. Raises OSError where it cannot be read.
 
-    A file with a thousand damages one after the other is none of this kind, and is read no further.
+    After a thousand damaged items in a row, a file of another format, reading ends.
     """
 
     def __init__(self, path: Path, decoder: Decoder[T]) -> None:
@@ -55,18 +55,18 @@ class TimedFile(Generic[T]):
 
     @property
     def ended(self) -> bool:
-        """Nothing more comes."""
+        """Whether all items were returned."""
         self._read_on()
         return not self._items
 
     def first_ns(self) -> int | None:
-        """The time of the next item; None where there is none."""
+        """Return the time of the next item; None at the end."""
         self._read_on()
         return next((item.time_ns for item in self._items if not isinstance(item, FormatError)), None)
 
     @property
     def steps_back(self) -> bool:
-        """Is the next item from before those that were handed out? It waits for `go_on`."""
+        """Whether the next item is earlier than the returned ones; it waits for `go_on`."""
         first_ns = self.first_ns()
         return first_ns is not None and self._is_back(first_ns)
 
@@ -74,23 +74,23 @@ class TimedFile(Generic[T]):
         return self._newest_ns is not None and time_ns < self._newest_ns - _BACK_NS
 
     def go_on(self) -> None:
-        """With the next item, whatever its time."""
+        """Continue with the next item at any time."""
         self._newest_ns = None
 
     def due(self, until_ns: int) -> list[T | FormatError]:
-        """All items up to one that is later than this, or before which the time steps back; some thousands at most."""
-        found: list[T | FormatError] = []
-        while len(found) < _MOST_AT_ONCE and not self.ended:
+        """Return the items up to a time, or to a step back in time; some thousands at most."""
+        items: list[T | FormatError] = []
+        while len(items) < _MOST_AT_ONCE and not self.ended:
             item = self._items[0]
             if not isinstance(item, FormatError):
                 if item.time_ns > until_ns or self._is_back(item.time_ns):
                     break
                 self._newest_ns = max(item.time_ns, self._newest_ns or item.time_ns)
-            found.append(self._items.popleft())
-        return found
+            items.append(self._items.popleft())
+        return items
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file."""
         self._file.close()
 
     def _read_on(self) -> None:
@@ -101,9 +101,9 @@ class TimedFile(Generic[T]):
                 self._items.append(item)
                 self._damages = self._damages + 1 if isinstance(item, FormatError) else 0
                 if self._damages == _MOST_DAMAGES:
-                    expected = (
-                        f"a recording of this kind; read no further after {_MOST_DAMAGES} damages together"
+                    limit = f"read no further after {_MOST_DAMAGES} damages together"
+                    self._items.append(
+                        FormatError(self.name, "content", f"a recording of this kind; {limit}")
                     )
-                    self._items.append(FormatError(self.name, "content", expected))
                     self._read_all = True
                     return

@@ -1,22 +1,22 @@
-"""Where an antenna really was: Camber's own `truth.csv`, and the layout of the Nagoya reference.
+"""True antenna positions: Camber's own `truth.csv`, and the layout of the Nagoya reference.
 
     camber  time_ns,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg,
             velocity_east_m_s,velocity_north_m_s,velocity_up_m_s,fix_wrong[,more …]
     nagoya  GPS TOW (s),GPS Week,Latitude (deg),…, as MatRTKLIB's example has it
 
-Positions are of the antenna, heights ellipsoidal, headings clockwise from north, pitch
-positive with the nose down (Nagoya: up). `fix_wrong` is 1 where a simulator made
-the receiver's fix wrong, 0 where it made it right, empty where it gave none; no recording has it.
-A simulator adds columns of numbers, named with their unit and empty where there is nothing to say.
+Positions are of the antenna, heights ellipsoidal, headings clockwise from north, pitch positive with the nose down
+(Nagoya: up). `fix_wrong` is 1 where a simulator made the receiver's fix wrong, 0 where it made it right, empty where
+there is no fix; absent in recordings. A simulator adds columns of numbers, named with their unit, empty where unknown.
 """
 
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,20 +40,18 @@ _NAGOYA = (
     "ECEF Z (m)", "Roll (deg)", "Pitch (deg)", "Heading (deg)", "East Velocity (m/s)", "North Velocity (m/s)",
     "Up Velocity (m/s)",
 )  # fmt: skip
-_TEXT_OF_STATE: dict[FixState, str] = {"right": "0", "wrong": "1", "none": ""}
-_STATE_OF_TEXT = {text: FIX_STATES.index(state) for state, text in _TEXT_OF_STATE.items()}
-_NAGOYA_FLOATS = (2, 3, 4, 8, 9, 10, 11, 12, 13)
-_CAMBER_FLOATS = tuple(range(1, 10))
+_TEXTS_OF_STATES = ("0", "1", "")
+"""In the order of FIX_STATES."""
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TruthTable:
     """Truth of n epochs, times strictly ascending.
 
     Attitude as in `camber.geodesy.se3`: `yaw_rad` counter-clockwise from east, in (−π, π], `pitch_rad` positive
-    with the nose down, `roll_rad` with the left side up. `fix_state`, where a simulator says it, indexes
-    FIX_STATES. `more` are further columns (n,) by name, NaN where there is nothing to say.
+    with the nose down, `roll_rad` with the left side up. `fix_state`, of a simulator, indexes FIX_STATES. `more` are
+    further columns (n,) by name, NaN where unknown.
     """
 
     time_ns: npt.NDArray[np.int64]
@@ -71,66 +69,69 @@ class TruthTable:
         return len(self.time_ns)
 
     def rows(self, selection: npt.NDArray[np.bool_] | npt.NDArray[np.intp] | slice) -> "TruthTable":
-        """The epochs of a mask, of indices or of a slice."""
-        return TruthTable(
-            self.time_ns[selection],
-            self.latitude_rad[selection],
-            self.longitude_rad[selection],
-            self.height_m[selection],
-            self.roll_rad[selection],
-            self.pitch_rad[selection],
-            self.yaw_rad[selection],
-            self.velocity_enu_m_s[selection],
-            None if self.fix_state is None else self.fix_state[selection],
-            {name: column[selection] for name, column in self.more.items()},
-        )
+        """Return the epochs of a mask, of indices or of a slice."""
+        columns: dict[str, Any] = {column.name: getattr(self, column.name) for column in fields(self)}
+        more = {name: column[selection] for name, column in columns.pop("more").items()}
+        chosen: dict[str, Any] = {
+            name: None if column is None else column[selection] for name, column in columns.items()
+        }
+        return TruthTable(**chosen, more=more)
 
 
 def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
-    """Read a whole file. Raises FormatError for its first fault, OSError if it cannot be read."""
+    """Read a whole file. Raises FormatError for its first error, OSError if it cannot be read."""
+    fault = partial(FormatError, path.name)
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.reader(file)
         header = tuple(name.strip() for name in next(rows, []))
-        columns: tuple[str, ...] = _CAMBER if layout == "camber" else _NAGOYA
-        if layout == "camber" and header[: len(columns)] == columns and _are_more(header[len(columns) :]):
-            columns = header
-        if header != columns:
-            raise FormatError(path.name, "header", ",".join(columns), actual=",".join(header), line_number=1)
+        is_camber = layout == "camber"
+        expected = _CAMBER if is_camber else _NAGOYA
+        more = header[len(expected) :] if is_camber else ()
+        if header != expected + more or not _are_more(more):
+            raise fault("header", ",".join(expected), actual=",".join(header), line_number=1)
         numbered = [(number, row) for number, row in enumerate(rows, start=2) if row]
     for number, row in numbered:
-        if len(row) != len(columns):
-            raise FormatError(
-                path.name,
-                "columns",
-                f"{len(columns)} fields",
-                actual=f"{len(row)} fields",
-                line_number=number,
-            )
-    values = _floats(path.name, numbered, columns, _CAMBER_FLOATS if layout == "camber" else _NAGOYA_FLOATS)
-    more = range(len(_CAMBER), len(columns)) if layout == "camber" else range(0)
-    further = _floats(path.name, numbered, columns, more, may_be_empty=True)
-    time_ns = np.array([_time(path.name, number, row, layout) for number, row in numbered], dtype=np.int64)
+        if len(row) != len(header):
+            raise fault("columns", f"{len(header)} fields", actual=f"{len(row)} fields", line_number=number)
+
+    def column(name: str, parse: Callable[[str], Any], wanted: str = "a finite number") -> list[Any]:
+        values, index = [], header.index(name)
+        for number, row in numbered:
+            try:
+                values.append(parse(row[index]))
+            except ValueError:
+                raise fault(name, wanted, actual=row[index], line_number=number) from None
+        return values
+
+    names = _CAMBER[1:10] if is_camber else _NAGOYA[2:5] + _NAGOYA[8:]
+    values = np.array([column(name, _finite) for name in names]).reshape(9, -1)
+    further = {name: np.array(column(name, _finite_or_empty), np.float64) for name in more}
+    if is_camber:
+        times = column("time_ns", int, "nanoseconds of GPS time")
+        states = np.array(column("fix_wrong", _state, "0, 1 or nothing"), np.int8)
+    else:
+        weeks = column("GPS Week", int, "a GPS week")
+        of_week = column(
+            "GPS TOW (s)", lambda text: nanoseconds_from_decimal(text.strip()), "seconds of week"
+        )
+        times, states = list(map(gps_ns_from_week_tow, weeks, of_week)), None
+    time_ns = np.array(times, dtype=np.int64)
     late = np.flatnonzero(np.diff(time_ns) <= 0)
     if len(late):
-        raise FormatError(
-            path.name, "time", "later than in the row before", line_number=numbered[late[0] + 1][0]
-        )
-    states = None
-    if layout == "camber":
-        states = [_state(path.name, number, row[len(_CAMBER) - 1]) for number, row in numbered]
-    # The Nagoya reference gives pitch with the nose up positive: it rises with the grade.
-    pitch_sign = 1.0 if layout == "camber" else -1.0
+        raise fault("time", "later than in the row before", line_number=numbered[late[0] + 1][0])
+    angles = np.deg2rad(values[[0, 1, 3, 4, 5]])
     return TruthTable(
-        time_ns,
-        np.deg2rad(values[:, 0]),
-        np.deg2rad(values[:, 1]),
-        values[:, 2],
-        np.deg2rad(values[:, 3]),
-        pitch_sign * np.deg2rad(values[:, 4]),
-        wrap_pi_array(0.5 * np.pi - np.deg2rad(values[:, 5])),
-        values[:, 6:9],
-        None if states is None else np.array(states, dtype=np.int8),
-        {columns[column]: further[:, place] for place, column in enumerate(more)},
+        time_ns=time_ns,
+        latitude_rad=angles[0],
+        longitude_rad=angles[1],
+        height_m=values[2],
+        roll_rad=angles[2],
+        # The Nagoya reference gives pitch with the nose up positive: it rises with the grade.
+        pitch_rad=angles[3] if is_camber else -angles[3],
+        yaw_rad=wrap_pi_array(0.5 * np.pi - angles[4]),
+        velocity_enu_m_s=values[6:9].T,
+        fix_state=states,
+        more=further,
     )
 
 
@@ -142,12 +143,12 @@ def write_truth(path: Path, truth: TruthTable) -> None:
     for i in range(len(truth)):
         heading_deg = np.rad2deg(wrap_two_pi(0.5 * np.pi - float(truth.yaw_rad[i])))
         velocity = ",".join(f"{component:.5f}" for component in truth.velocity_enu_m_s[i])
-        state: FixState = "none" if truth.fix_state is None else FIX_STATES[truth.fix_state[i]]
+        state = 2 if truth.fix_state is None else truth.fix_state[i]
         lines.append(
             f"{truth.time_ns[i]},{np.rad2deg(truth.latitude_rad[i]):.10f},{np.rad2deg(truth.longitude_rad[i]):.10f},"
             f"{truth.height_m[i]:.5f},{np.rad2deg(truth.roll_rad[i]) + 0.0:.7f},"
             f"{np.rad2deg(truth.pitch_rad[i]) + 0.0:.7f},"
-            f"{heading_deg:.7f},{velocity},{_TEXT_OF_STATE[state]}"
+            f"{heading_deg:.7f},{velocity},{_TEXTS_OF_STATES[state]}"
             + "".join(f",{_number(column[i])}" for column in truth.more.values())
         )
     path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
@@ -158,57 +159,22 @@ def _are_more(names: tuple[str, ...]) -> bool:
 
 
 def _number(value: float) -> str:
-    """To a micrometre and the like; whole numbers as such, nothing for NaN."""
+    """Return six decimals, a whole number without, nothing for NaN."""
     if math.isnan(value):
         return ""
     return str(int(value)) if value == int(value) else f"{value:.6f}"
 
 
-def _floats(
-    source_name: str,
-    numbered: Sequence[tuple[int, list[str]]],
-    columns: Sequence[str],
-    wanted: Sequence[int],
-    *,
-    may_be_empty: bool = False,
-) -> Array:
-    """Columns of finite numbers; NaN where a field is empty and may be."""
-    values = np.empty((len(numbered), len(wanted)))
-    left_out = np.zeros(values.shape, bool)
-    for row_index, (number, row) in enumerate(numbered):
-        for column_index, column in enumerate(wanted):
-            if may_be_empty and not row[column].strip():
-                left_out[row_index, column_index] = True
-                continue
-            try:
-                values[row_index, column_index] = float(row[column])
-            except ValueError:
-                raise FormatError(
-                    source_name, columns[column], "a number", actual=row[column], line_number=number
-                ) from None
-    values[left_out] = math.nan
-    bad = np.argwhere(~np.isfinite(values) & ~left_out)
-    if len(bad):
-        number, row = numbered[bad[0, 0]]
-        column = wanted[bad[0, 1]]
-        raise FormatError(
-            source_name, columns[column], "a finite number", actual=row[column], line_number=number
-        )
-    return values
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
 
 
-def _time(source_name: str, line_number: int, row: list[str], layout: str) -> int:
-    try:
-        if layout == "camber":
-            return int(row[0])
-        return gps_ns_from_week_tow(int(row[1]), nanoseconds_from_decimal(row[0].strip()))
-    except ValueError:
-        expected = "nanoseconds of GPS time" if layout == "camber" else "seconds of week and GPS week"
-        raise FormatError(source_name, "time", expected, actual=row[0], line_number=line_number) from None
+def _finite_or_empty(text: str) -> float:
+    return _finite(text) if text.strip() else math.nan
 
 
-def _state(source_name: str, line_number: int, text: str) -> int:
-    state = _STATE_OF_TEXT.get(text.strip())
-    if state is None:
-        raise FormatError(source_name, "fix_wrong", "0, 1 or nothing", actual=text, line_number=line_number)
-    return state
+def _state(text: str) -> int:
+    return _TEXTS_OF_STATES.index(text.strip())

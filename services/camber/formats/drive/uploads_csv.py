@@ -1,20 +1,22 @@
-"""Observations of road heights as CSV, one row each: what `camber uploads --records` writes and `camber upload` sends.
+"""Observations of road heights as CSV, one per row: written by `camber uploads --records`, sent by `camber upload`.
 
     vehicle,id,datum,map_version,epoch_year,time_ns,fix_id,fix_quality,surface_id,verdict,latitude_rad,longitude_rad,
     horizontal_sigma_m,road_height_m,road_height_sigma_m,antenna_height_m
 
-In any order, and others may stand among them. `id` may be missing, or empty in all rows: then the content names the
-batch, so that the same file sent again is known. The meaning is that of `camber.schemas.fleet.ElevationUpload`.
+Columns may be in any order, with others between them. `id` may be missing, or empty in all rows: then the batch is
+identified by the file's content, so that the same file sent again is recognised. The meaning is that of
+`camber.schemas.fleet.ElevationUpload`.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,82 +27,9 @@ from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
 
 MOST_RECORDS = 2_000
-"""In one batch: within the 256 kB that a question may have."""
+"""In one batch: within the 256 kB of a query."""
 
-T = TypeVar("T")
-_HEADING = ("vehicle", "datum", "map_version", "epoch_year")
-_WORDS: dict[str, tuple[str, ...]] = {"fix_quality": get_args(Quality), "verdict": get_args(VerdictValue)}
-_INTEGERS = ("time_ns", "fix_id", "surface_id")
-_NUMBERS = (
-    "latitude_rad",
-    "longitude_rad",
-    "horizontal_sigma_m",
-    "road_height_m",
-    "road_height_sigma_m",
-    "antenna_height_m",
-)
-COLUMNS = (*_HEADING, *_INTEGERS, *_WORDS, *_NUMBERS)
-_LARGEST_INTEGER = 2**62
-
-
-def read_uploads(path: Path) -> list[UploadBatch]:
-    """All batches of a file, in its order. Raises FormatError for the first bad row, OSError if it cannot be read."""
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise FormatError(path.name, "the file", "text in UTF-8") from None
-    rows = csv.DictReader(text.splitlines(), strict=True)
-    found = list(_rows(path.name, rows))
-    if not found:
-        raise FormatError(path.name, "the file", "at least one row")
-    content = hashlib.sha256(data).hexdigest()[:24]
-    batches: list[UploadBatch] = []
-    for (_, own_id), group in groupby(found, key=lambda row: (row[1], row[2])):
-        of_batch = list(group)
-        parts = [of_batch[at : at + MOST_RECORDS] for at in range(0, len(of_batch), MOST_RECORDS)]
-        for number, part in enumerate(parts):
-            name = own_id or f"file-{content}-{len(batches)}"
-            batches.append(_batch(path.name, name if number == 0 else f"{name}.{number}", part))
-    return batches
-
-
-_Row = tuple[int, tuple[str, str, int, float], str, dict[str, Any]]
-"""Line, heading, id, observation."""
-
-
-def _rows(source: str, rows: csv.DictReader[str]) -> Iterable[_Row]:
-    try:
-        there = rows.fieldnames or ()
-        for name in COLUMNS:
-            if name not in there:
-                raise FormatError(source, name, "a column of this name", line_number=1)
-        for row in rows:
-            line = rows.line_num
-            if None in row or None in row.values():
-                raise FormatError(source, "the row", f"{len(there)} fields", line_number=line)
-
-            def value(
-                name: str, of: Callable[[str], T], expected: str, row: Any = row, line: int = line
-            ) -> T:
-                try:
-                    return of(row[name])
-                except ValueError:
-                    raise FormatError(source, name, expected, actual=row[name], line_number=line) from None
-
-            heading = (
-                row["vehicle"],
-                row["datum"],
-                value("map_version", _integer, "an integer"),
-                value("epoch_year", _number, "a year"),
-            )
-            observation: dict[str, Any] = {name: value(name, _integer, "an integer") for name in _INTEGERS}
-            observation |= {name: value(name, _number, "a number") for name in _NUMBERS}
-            for name, words in _WORDS.items():
-                observation[name] = value(name, words.index, f"one of {', '.join(words)}")
-            yield line, heading, row.get("id") or "", observation
-    except csv.Error as error:
-        raise FormatError(source, "the row", f"CSV ({error})", line_number=rows.line_num) from None
+_LARGEST_INTEGER = 2**62  # chosen: within 64 bits, with room for a sum
 
 
 def _integer(text: str) -> int:
@@ -117,26 +46,85 @@ def _number(text: str) -> float:
     return value
 
 
+_Parser = tuple[Callable[[str], Any], str, str]
+"""Conversion of a text, what is expected, numpy's type."""
+_INTEGER, _NUMBER = (_integer, "an integer", "<i8"), (_number, "a number", "<f8")
+_BATCH: dict[str, _Parser] = {
+    "vehicle": (str, "a text", ""),
+    "datum": (str, "a text", ""),
+    "map_version": _INTEGER,
+    "epoch_year": (_number, "a year", ""),
+}
+_RECORD: dict[str, _Parser] = {
+    **dict.fromkeys(("time_ns", "fix_id", "surface_id"), _INTEGER),
+    **{
+        name: (get_args(values).index, f"one of {', '.join(get_args(values))}", "|u1")
+        for name, values in (("fix_quality", Quality), ("verdict", VerdictValue))
+    },
+    **dict.fromkeys(("latitude_rad", "longitude_rad", "horizontal_sigma_m"), _NUMBER),
+    **dict.fromkeys(("road_height_m", "road_height_sigma_m", "antenna_height_m"), _NUMBER),
+}
+COLUMNS = (*_BATCH, *_RECORD)
+
+
+def read_uploads(path: Path) -> list[UploadBatch]:
+    """Read all batches, in the file's order. Raises FormatError for the first bad row, OSError if unreadable."""
+    data = path.read_bytes()
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise FormatError(path.name, "the file", "text in UTF-8") from None
+    rows = list(_rows(path.name, csv.DictReader(text.splitlines(), strict=True)))
+    if not rows:
+        raise FormatError(path.name, "the file", "at least one row")
+    content = hashlib.sha256(data).hexdigest()[:24]
+    batches: list[UploadBatch] = []
+    for (_, given_id), group in groupby(rows, key=lambda row: (row[1], row[2])):
+        records = list(group)
+        for number, start in enumerate(range(0, len(records), MOST_RECORDS)):
+            batch_id = (given_id or f"file-{content}-{len(batches)}") + (f".{number}" if number else "")
+            batches.append(_batch(path.name, batch_id, records[start : start + MOST_RECORDS]))
+    return batches
+
+
+_Row = tuple[int, dict[str, Any], str, dict[str, Any]]
+"""Line, values of the batch, id, values of the record."""
+
+
+def _rows(source: str, rows: csv.DictReader[str]) -> Iterator[_Row]:
+    try:
+        names = rows.fieldnames or ()
+        for name in COLUMNS:
+            if name not in names:
+                raise FormatError(source, name, "a column of this name", line_number=1)
+        for row in rows:
+            fault = partial(FormatError, source, line_number=rows.line_num)
+            if None in row or None in row.values():
+                raise fault("the row", f"{len(names)} fields")
+            values = {}
+            for name, (parse, expected, _) in (_BATCH | _RECORD).items():
+                try:
+                    values[name] = parse(row[name])
+                except ValueError:
+                    raise fault(name, expected, actual=row[name]) from None
+            batch = {name: values.pop(name) for name in _BATCH}
+            yield rows.line_num, batch, row.get("id") or "", values
+    except csv.Error as error:
+        raise FormatError(source, "the row", f"CSV ({error})", line_number=rows.line_num) from None
+
+
 def _batch(source: str, batch_id: str, rows: Sequence[_Row]) -> UploadBatch:
-    line, (vehicle, datum, map_version, epoch_year), _, _ = rows[0]
-    columns: dict[str, Any] = {}
-    for name in (*_INTEGERS, *_WORDS, *_NUMBERS):
-        kind = "|u1" if name in _WORDS else "<i8" if name in _INTEGERS else "<f8"
-        columns[name] = np.array([observation[name] for *_, observation in rows], kind)
+    line, batch, _, _ = rows[0]
+    columns: dict[str, Any] = {
+        name: np.array([record[name] for *_, record in rows], kind) for name, (_, _, kind) in _RECORD.items()
+    }
     times_ns = columns.pop("time_ns")
     try:
         return UploadBatch(
-            time_ns=int(times_ns[-1]),
-            vehicle=vehicle,
-            batch_id=batch_id,
-            datum=datum,
-            epoch_year=epoch_year,
-            map_version=map_version,
-            positioning_time_ns=times_ns,
-            **columns,
+            time_ns=int(times_ns[-1]), batch_id=batch_id, positioning_time_ns=times_ns, **batch, **columns
         )
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the row"
-        found = "" if isinstance(first["input"], np.ndarray | dict) else f" is {str(first['input'])[:40]!r}"
-        raise FormatError(source, field + found, first["msg"], line_number=line) from None
+        actual = "" if isinstance(first["input"], np.ndarray | dict) else f" is {str(first['input'])[:40]!r}"
+        raise FormatError(source, field + actual, first["msg"], line_number=line) from None

@@ -67,7 +67,7 @@ def read(path: Path, channel: str) -> tuple[list[object], list[RecordingError]]:
     return [item.message for item in lists[channel]], errors
 
 
-def test_what_was_recorded_is_read_again(tmp_path: Path) -> None:
+def test_recorded_messages_are_read_back(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     messages = record(path)
     lists, errors = load_recording(path)
@@ -75,7 +75,9 @@ def test_what_was_recorded_is_read_again(tmp_path: Path) -> None:
     assert [item.message for item in lists["motion"]] == messages
     assert [item.message for item in lists["sweep"]] == [sweep(i) for i in range(0, 300, 10)]
     assert lists["fix"] == []
-    assert lists["motion"][7] == Recorded("motion", MOTION_KEY, messages[7], "vehicle", 7, 1_007)
+    assert lists["motion"][7] == Recorded(
+        channel="motion", key=MOTION_KEY, message=messages[7], source="vehicle", sequence=7, arrival_ns=1_007
+    )
 
 
 def test_only_the_channels_asked_for_are_given(tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_the_file_holds_the_bytes_of_the_bus_with_measurement_and_arrival_times(
     assert channel.metadata == {"channel": "motion"}
 
 
-def test_request_and_reply_of_one_key_are_told_apart(tmp_path: Path) -> None:
+def test_request_and_reply_of_one_key_are_distinguished(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     request = LinksRequest(time_ns=START_NS, latitude_rad=0.6, longitude_rad=2.3, radius_m=100.0)
     with Recorder(path) as recorder:
@@ -135,10 +137,10 @@ def test_order_within_a_tick_does_not_depend_on_arrival(tmp_path: Path) -> None:
         files.append(path.read_bytes())
     assert len(set(files)) == 1
     recorded = [i for i in read_recording(path) if isinstance(i, Recorded)]
-    found = [(i.message.time_ns, i.channel, i.key, i.sequence) for i in recorded]
+    read_back = [(i.message.time_ns, i.channel, i.key, i.sequence) for i in recorded]
     order = {channel.name: place for place, channel in enumerate(CHANNELS)}
-    assert found == sorted(found, key=lambda item: (item[0], order[item[1]], item[2], item[3]))
-    assert len(found) == len(sent)
+    assert read_back == sorted(read_back, key=lambda item: (item[0], order[item[1]], item[2], item[3]))
+    assert len(read_back) == len(sent)
 
 
 def test_arrival_is_the_only_difference_between_two_runs(tmp_path: Path) -> None:
@@ -152,7 +154,7 @@ def test_arrival_is_the_only_difference_between_two_runs(tmp_path: Path) -> None
     assert [i.arrival_ns + 777 for i in first] == [i.arrival_ns for i in second]
 
 
-def test_a_file_cut_anywhere_gives_what_stands_before_the_cut_and_one_error(tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_yields_the_messages_before_the_cut_and_one_error(tmp_path: Path) -> None:
     whole = tmp_path / "recording.mcap"
     messages = record(whole)
     data = whole.read_bytes()
@@ -163,12 +165,12 @@ def test_a_file_cut_anywhere_gives_what_stands_before_the_cut_and_one_error(tmp_
     for length in sorted(lengths):
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(data[:length])
-        found, errors = read(cut, "motion")
+        read_back, errors = read(cut, "motion")
         assert len(errors) == 1, f"cut at {length}"
         assert "\n" not in str(errors[0])
         assert str(errors[0]).startswith("cut.mcap")
-        assert found == messages[: len(found)], f"cut at {length}"
-        read_counts.append(len(found))
+        assert read_back == messages[: len(read_back)], f"cut at {length}"
+        read_counts.append(len(read_back))
     assert read_counts == sorted(read_counts)
     assert 0 < read_counts[len(read_counts) // 2] < len(messages)
 
@@ -185,8 +187,8 @@ def test_damaged_bytes_never_raise_and_never_change_a_message(tmp_path: Path) ->
         damaged[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         (tmp_path / "damaged.mcap").write_bytes(damaged)
         items = list(read_recording(tmp_path / "damaged.mcap"))
-        found = [item for item in items if isinstance(item, Recorded)]
-        assert [f.message for f in found] == [k.message for k in known[: len(found)]]
+        read_back = [item for item in items if isinstance(item, Recorded)]
+        assert [f.message for f in read_back] == [k.message for k in known[: len(read_back)]]
         noticed += any(isinstance(item, RecordingError) for item in items)
     assert noticed > 30
 
@@ -194,8 +196,8 @@ def test_damaged_bytes_never_raise_and_never_change_a_message(tmp_path: Path) ->
 @pytest.mark.parametrize("data", [b"", b"no recording at all, just text", b"\x89MCAP0\r\n" + bytes(64)])
 def test_another_file_is_one_clear_error(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "x.mcap").write_bytes(data)
-    found, errors = read(tmp_path / "x.mcap", "motion")
-    assert found == []
+    read_back, errors = read(tmp_path / "x.mcap", "motion")
+    assert read_back == []
     assert len(errors) == 1
     assert isinstance(errors[0], FormatError)
     assert "expected a whole MCAP recording" in str(errors[0])
@@ -208,8 +210,8 @@ def test_messages_of_another_version_are_one_error_and_the_rest_is_read(tmp_path
         for i in range(3):
             recorder.add("motion", newer, key=MOTION_KEY, arrival_ns=i)
         recorder.add("motion", encode(motion(1), sequence=1), key=MOTION_KEY, arrival_ns=9)
-    found, errors = read(path, "motion")
-    assert found == [motion(1)]
+    read_back, errors = read(path, "motion")
+    assert read_back == [motion(1)]
     assert len(errors) == 1
     assert "camber.Motion.v9" in str(errors[0])
     assert "3 are not" in str(errors[0])
@@ -250,9 +252,9 @@ def test_where_the_disk_is_full_what_counts_as_written_can_be_read(tmp_path: Pat
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert recorder.problem is not None
-    found, _ = read(path, "sweep")
-    assert (recorder.written, recorder.dropped) == (len(found), 100 - len(found))
-    assert (len(found) > 0) == (limit_bytes > 300_000)
+    read_back, _ = read(path, "sweep")
+    assert (recorder.written, recorder.dropped) == (len(read_back), 100 - len(read_back))
+    assert (len(read_back) > 0) == (limit_bytes > 300_000)
 
 
 def test_more_than_the_limit_within_one_tick_is_dropped_and_counted(tmp_path: Path) -> None:
@@ -263,8 +265,8 @@ def test_more_than_the_limit_within_one_tick_is_dropped_and_counted(tmp_path: Pa
             recorder.add("motion", payload, key=MOTION_KEY, arrival_ns=0)
         recorder.tick_done()
         recorder.add("motion", payloads[9], key=MOTION_KEY, arrival_ns=0)
-    found, _ = read(tmp_path / "recording.mcap", "motion")
-    assert found == [*(motion(i) for i in range(4)), motion(9)]
+    read_back, _ = read(tmp_path / "recording.mcap", "motion")
+    assert read_back == [*(motion(i) for i in range(4)), motion(9)]
     assert (recorder.written, recorder.dropped) == (5, 6)
 
 
@@ -279,8 +281,8 @@ def test_ever_new_names_of_schemas_do_not_end_the_recording(tmp_path: Path) -> N
     assert recorder.problem is None
     assert recorder.written + recorder.malformed == 70_001
     assert recorder.malformed > 69_000
-    found, errors = read(path, "motion")
-    assert found == [motion(0)]
+    read_back, errors = read(path, "motion")
+    assert read_back == [motion(0)]
     assert {error.field for error in errors} == {"schema"}
 
 
@@ -293,7 +295,7 @@ def test_a_file_that_is_there_is_kept_where_a_new_one_is_asked_for(tmp_path: Pat
 
 
 @pytest.mark.parametrize("payload", [b"", b"abc", b"\xff" * 40, b"\x04\0\0\0\x93abc", encode(motion(1))[:20]])
-def test_what_is_no_message_is_counted_and_not_written(tmp_path: Path, payload: bytes) -> None:
+def test_a_malformed_message_is_counted_and_not_written(tmp_path: Path, payload: bytes) -> None:
     with Recorder(tmp_path / "recording.mcap") as recorder:
         recorder.add("motion", payload, key=MOTION_KEY, arrival_ns=0)
     assert (recorder.malformed, recorder.written) == (1, 0)
@@ -307,10 +309,10 @@ def test_a_recording_that_was_never_closed_can_be_read_up_to_its_last_chunk(tmp_
         recorder.add("motion", encode(motion(i), sequence=i), key=MOTION_KEY, arrival_ns=0)
         recorder.tick_done()
     # As after a kill: nothing is closed. Chunks go out every 10 s of measured time.
-    found, errors = read(path, "motion")
+    read_back, errors = read(path, "motion")
     recorder.close()
-    assert found == [motion(i) for i in range(len(found))]
-    assert len(found) >= 200
+    assert read_back == [motion(i) for i in range(len(read_back))]
+    assert len(read_back) >= 200
     assert len(errors) == 1
 
 

@@ -1,4 +1,4 @@
-"""Camber's truth: what is written is read; a simulator may add columns; what is wrong is one line."""
+"""Truth tables: round trip, further columns of a simulator, errors."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ N = 4
 def table(**more: np.ndarray) -> TruthTable:
     rng = np.random.default_rng(3)
     return TruthTable(
-        1_400_000_000_000_000_000 + np.arange(N) * 100_000_000,
-        0.6 + rng.normal(0.0, 1e-6, N),
-        2.4 + rng.normal(0.0, 1e-6, N),
-        rng.normal(40.0, 1.0, N),
-        rng.normal(0.0, 0.02, N),
-        rng.normal(0.0, 0.02, N),
-        rng.uniform(-3.0, 3.0, N),
-        rng.normal(0.0, 5.0, (N, 3)),
-        np.array([0, 1, 2, 0], np.int8),
-        more,
+        time_ns=1_400_000_000_000_000_000 + np.arange(N) * 100_000_000,
+        latitude_rad=0.6 + rng.normal(0.0, 1e-6, N),
+        longitude_rad=2.4 + rng.normal(0.0, 1e-6, N),
+        height_m=rng.normal(40.0, 1.0, N),
+        roll_rad=rng.normal(0.0, 0.02, N),
+        pitch_rad=rng.normal(0.0, 0.02, N),
+        yaw_rad=rng.uniform(-3.0, 3.0, N),
+        velocity_enu_m_s=rng.normal(0.0, 5.0, (N, 3)),
+        fix_state=np.array([0, 1, 2, 0], np.int8),
+        more=more,
     )
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_a_written_table_is_read_back(tmp_path: Path) -> None:
     more = {
         "road_height_m": np.array([38.123456, 38.5, np.nan, -0.25]),
         "link_id": np.array([7.0, 7.0, 8.0, 123456789.0]),
@@ -61,7 +61,7 @@ def test_a_column_that_is_there_already_or_is_no_name_is_not_written(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("road_height_m", "time_ns", "header"),
         ("road_height_m", "Road", "header"),
@@ -71,7 +71,9 @@ def test_a_column_that_is_there_already_or_is_no_name_is_not_written(tmp_path: P
         (",38.5\n", "\n", "truth.csv:3: columns"),
     ],
 )
-def test_what_is_wrong_in_a_further_column_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_an_invalid_further_column_is_one_clear_error(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = tmp_path / "truth.csv"
     write_truth(path, table(road_height_m=np.array([38.0, 38.5, np.nan, 39.0])))
     text = path.read_text().replace("38.500000", "38.5")
@@ -79,4 +81,4 @@ def test_what_is_wrong_in_a_further_column_is_one_line(tmp_path: Path, old: str,
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(FormatError) as refused:
         read_truth(path, "camber")
-    assert said in str(refused.value)
+    assert message in str(refused.value)

@@ -37,7 +37,7 @@ def test_the_example_is_one_batch_a_vehicle():
     assert (first.verdict.tolist(), first.fix_quality.tolist()) == ([0] * 4, [0] * 4)
 
 
-def test_columns_come_in_any_order_and_others_are_passed_over(tmp_path):
+def test_columns_come_in_any_order_and_others_are_ignored(tmp_path):
     columns = ("received_ns", *reversed(COLUMNS), "id", "kind")
     (batch,) = read_uploads(write(tmp_path / "a.csv", [row(kind="batch", received_ns="5")], columns))
     assert batch.surface_id.tolist() == [10]
@@ -52,7 +52,7 @@ def test_without_ids_the_content_names_the_batch(tmp_path):
     assert id_of("a.csv") != id_of("c.csv", road_height_m="41.3")
 
 
-def test_a_large_batch_becomes_several_with_ids_of_their_own(tmp_path):
+def test_a_large_batch_becomes_several_with_numbered_ids(tmp_path):
     batches = read_uploads(
         write(tmp_path / "a.csv", [row(fix_id=str(n)) for n in range(2 * MOST_RECORDS + 1)])
     )
@@ -72,7 +72,7 @@ def test_a_large_batch_becomes_several_with_ids_of_their_own(tmp_path):
         ({"epoch_year": "20"}, "a.csv:3: epoch_year is '20.0', expected"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_line(tmp_path, changes, complaint):
+def test_an_error_names_its_line(tmp_path, changes, complaint):
     path = write(tmp_path / "a.csv", [row(), row(id="next", **changes)])
     with pytest.raises(FormatError) as caught:
         read_uploads(path)
@@ -80,7 +80,7 @@ def test_what_is_wrong_is_named_with_its_line(tmp_path, changes, complaint):
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"a,b\n1,2\n", b'vehicle,"id\n', b"\x00\n\x00\n"])
-def test_what_is_no_such_file_is_refused(tmp_path, content):
+def test_another_file_is_refused(tmp_path, content):
     path = tmp_path / "a.csv"
     path.write_bytes(content)
     with pytest.raises(FormatError):

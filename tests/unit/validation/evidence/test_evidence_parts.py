@@ -104,7 +104,16 @@ def truth_with(**faults: list[float]) -> TruthTable:
     zero = np.zeros(n)
     more = {name: np.array(values) for name, values in faults.items()}
     return TruthTable(
-        np.arange(n, dtype=np.int64) * NS, zero, zero, zero, zero, zero, zero, np.zeros((n, 3)), None, more
+        time_ns=np.arange(n, dtype=np.int64) * NS,
+        latitude_rad=zero,
+        longitude_rad=zero,
+        height_m=zero,
+        roll_rad=zero,
+        pitch_rad=zero,
+        yaw_rad=zero,
+        velocity_enu_m_s=np.zeros((n, 3)),
+        fix_state=None,
+        more=more,
     )
 
 

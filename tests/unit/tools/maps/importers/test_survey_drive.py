@@ -84,7 +84,9 @@ def drive(*, over: bool = False) -> TruthTable:
     rng = np.random.default_rng(4)
     up = height + ANTENNA_M + rng.normal(0.0, 0.005, n)
     time_ns = START_NS + np.arange(n) * 10**8
-    return TruthTable(time_ns, latitude, longitude, up, *np.zeros((3, n)), np.zeros((n, 3)))
+    level = {"roll_rad": np.zeros(n), "pitch_rad": np.zeros(n), "yaw_rad": np.zeros(n)}
+    place = {"latitude_rad": latitude, "longitude_rad": longitude, "height_m": up}
+    return TruthTable(time_ns=time_ns, **place, **level, velocity_enu_m_s=np.zeros((n, 3)))
 
 
 def build(path: Path, *more: str) -> int:
