@@ -8,13 +8,7 @@ import numpy as np
 from figure import Figure, higher
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.biweight import (
-    PRIOR_VOTES,
-    TUNING,
-    VoteColumns,
-    biweight,
-    estimate_heights,
-)
+from camber.map_update.fusion.biweight import PRIOR_VOTES, TUNING, VoteColumns, biweight, estimate_heights
 from camber.map_update.fusion.surface_shape import shape_spread, shape_variance_m2
 from camber.map_update.fusion.vehicle_bias import estimate_biases
 

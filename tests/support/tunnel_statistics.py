@@ -110,11 +110,7 @@ def tunnel_drive(seed: int, *, slip: bool = False, duration_s: float | None = No
     path = district.path()
     faults = _slips(seed, scenario.duration_s) if slip else []
     trajectory = drive(
-        path,
-        CAR,
-        start_ns=scenario.start_ns,
-        duration_s=duration_s or scenario.duration_s,
-        faults=faults,
+        path, CAR, start_ns=scenario.start_ns, duration_s=duration_s or scenario.duration_s, faults=faults
     )
     readings = read_sensors(trajectory, CAR, path.surface_m, SENSORS, seed)
     covered = np.column_stack((path.east_m, path.north_m))[int(np.argmax(path.tunnel))]

@@ -16,14 +16,7 @@ import numpy.typing as npt
 from camber.formats.drive.truth_csv import TruthTable
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.coarse_links import PlaneLinks, coarse_links
-from camber.replay.road_lines import (
-    BEYOND_END_M,
-    OTHER_LEVEL_M,
-    SPACING_M,
-    WIDTH_M,
-    RoadLines,
-    road_lines,
-)
+from camber.replay.road_lines import BEYOND_END_M, OTHER_LEVEL_M, SPACING_M, WIDTH_M, RoadLines, road_lines
 from camber.replay.surrogates import correlated_noise
 from camber.replay.truth_interpolation import plane_of
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces

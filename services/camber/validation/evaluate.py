@@ -47,9 +47,7 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="camber evaluate", description=__doc__)
     parser.add_argument("directory", type=Path, help="folder of a replay or a recording")
     parser.add_argument(
-        "--partial",
-        action="store_true",
-        help="evaluate the readable part of a damaged recording",
+        "--partial", action="store_true", help="evaluate the readable part of a damaged recording"
     )
     arguments = parser.parse_args(argv)
     folder = RunFolder(arguments.directory)

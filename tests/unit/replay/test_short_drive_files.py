@@ -9,13 +9,7 @@ import pytest
 from camber.formats.drive.truth_csv import FIX_STATES, read_truth
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.short_drive import (
-    SCHEDULE,
-    START_NS,
-    short_drive_truth,
-    write_short_drive,
-    wrong_episodes,
-)
+from camber.replay.short_drive import SCHEDULE, START_NS, short_drive_truth, write_short_drive, wrong_episodes
 from camber.replay.truth_interpolation import plane_of
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest

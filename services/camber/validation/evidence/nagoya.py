@@ -78,7 +78,7 @@ def held_back(evaluation: Evaluation) -> dict[str, int]:
     for row in (evaluation.rows[i] for i in right.tolist()):
         if not row.confirmed:
             reason = "no verdict" if row.verdict is None else row.verdict.reason
-            said[f"{row.word}: {reason}"] += 1
+            said[f"{row.verdict_name}: {reason}"] += 1
     return dict(said.most_common())
 
 

@@ -1,6 +1,6 @@
-"""Do bounds hold? Positions of each mode with true errors, beside the ellipses and levels that the product would claim.
+"""Do bounds hold? Positions of each mode with true errors, and the ellipses and levels that the product would claim.
 
-`rtk`: tentative fixes of which the rules' prior share for their satellites is wrong, judged; those confirmed.
+`rtk`: candidate fixes of which the rules' prior share for their satellites is wrong, judged; those confirmed.
 `doppler`: from such a position on the sum of velocities with the errors that their rules assume, for up to 30 s.
 `sensors` and `scan_match`: poses that rest on no fix, whose covariances, the localizer's claims, are taken to be true:
 what is tested of them is the step from a covariance to a bound.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,13 @@ from camber.integrity.protection.doppler_position import DopplerPosition
 from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import BaselineDecisions
-from camber.validation.lab.error_episodes import episodes
-from camber.validation.lab.error_model import Scene, inflated_covariance, innovation_covariance
+from camber.validation.lab.error_episodes import Episodes, episodes
+from camber.validation.lab.error_model import HEADLINE, inflated_covariance
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import wrong_fixes
+from camber.validation.lab.work_blocks import Block
 from camber.validation.statistics import clopper_pearson
 
 Floats = NDArray[np.float64]
@@ -38,14 +38,17 @@ MODES = ("rtk", "doppler", "sensors", "scan_match")
 ALERT_LIMITS_M = (0.29, 0.57, 1.0, 1.5, 3.0)
 LEVEL_PARAMETERS = LevelRules()
 VELOCITY_SIGMA_M_S = 0.03
-SCENE = Scene(0.05, 0.05)
+"""Chosen: of Doppler by carrier phase under an open sky; the rules' own floor and scale are added to it."""
+SCENE = HEADLINE[0]
 CHART_M = np.concatenate(([0.0], np.geomspace(0.01, 30.0, 59), [np.inf]))
-_SKIES, DRAWS = 400, 10_000
+DRAWS = 10_000
+"""Of each mode in a block. Chosen: seconds of work."""
 _LONGEST_S, _STEP_S, _EPOCH_NS = LEVEL_PARAMETERS.doppler.longest_s, 0.1, 1_400_000_000_000_000_000
 _IN_CIRCLE = 125
+"""Points of a block in the chart; twelve blocks give 1500."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ClaimedPositions:
     """n positions with true horizontal errors (n, 2), and the mixtures (n, k) that their bounds are made from."""
 
@@ -57,10 +60,10 @@ class ClaimedPositions:
 
     def chosen(self, rows: Integers) -> ClaimedPositions:
         """Some of them."""
-        return ClaimedPositions(*(getattr(self, name)[rows] for name in self.__slots__))
+        return ClaimedPositions(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ClaimedBounds:
     """Errors in units of the semi-axes of their 99 % and 99.9 % ellipses (n, 2), and horizontal levels (n,)."""
 
@@ -69,13 +72,9 @@ class ClaimedBounds:
     level_m: Floats
 
 
-def coverage_block(seed: int, block: int, rules: Rules, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
+def coverage_block(block: Block, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     """Counts of each mode."""
-    found = {}
-    for mode in MODES:
-        rng = stream(seed, f"lab/levels/{mode}/{block}")
-        found[mode] = _counts(_MODES[mode](seed, block, rules, draws, rng))
-    return found
+    return {mode: _counts(_MODES[mode](block, draws, block.stream(f"levels/{mode}"))) for mode in MODES}
 
 
 def coverage_figures(blocks: list[dict[str, dict[str, Any]]]) -> dict[str, Any]:
@@ -88,72 +87,63 @@ def coverage_figures(blocks: list[dict[str, dict[str, Any]]]) -> dict[str, Any]:
     }
 
 
-def _rtk(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _rtk(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """Right and wrong fixes in the proportion of the prior of their satellites, those that the judge confirms."""
-    right = right_fixes(seed, block, _SKIES, "levels")
-    wrong = wrong_fixes("search", seed, block + 1_000_000, _SKIES)
+    right = right_fixes(block, "levels")
+    wrong = wrong_fixes(replace(block, number=block.number + 1_000_000), "search")
     row = rng.integers(len(right.sky), size=draws)
     prior, prior_of_wrong = prior_shares(right)[row], prior_shares(wrong)
     is_wrong = rng.random(draws) < prior if len(wrong.sky) else np.zeros(draws, np.bool_)
-    parts = [_confirmed(right.chosen(row[~is_wrong]), prior[~is_wrong], rules, rng)]
+    parts = [_confirmed(right.chosen(row[~is_wrong]), prior[~is_wrong], block.rules, rng)]
     for share in np.unique(prior[is_wrong]).tolist():
         # Those of as many satellites; where the search found none, as with many, any of them.
         alike = np.flatnonzero(prior_of_wrong == share)
         pool = alike if len(alike) else np.arange(len(prior_of_wrong))
         count = int((is_wrong & (prior == share)).sum())
-        weighted_draws = wrong.chosen(pool[rng.integers(len(pool), size=count)])
-        parts.append(_confirmed(weighted_draws, np.full(count, share), rules, rng))
-    return ClaimedPositions(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ClaimedPositions.__slots__)
-    )
+        chosen = wrong.chosen(pool[rng.integers(len(pool), size=count)])
+        parts.append(_confirmed(chosen, np.full(count, share), block.rules, rng))
+    names = ClaimedPositions.__slots__
+    return ClaimedPositions(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
 def prior_shares(shapes: FixShapes) -> Floats:
-    """The share (n,) that is wrong of tentative fixes with as many satellites, by the rules."""
-    return np.array(
-        [LEVEL_PARAMETERS.wrong_fix.prior_of(count) for count in shapes.satellites.tolist()], np.float64
-    )
+    """The share (n,) that is wrong of candidate fixes with as many satellites, by the rules."""
+    prior_of = LEVEL_PARAMETERS.wrong_fix.prior_of
+    return np.array([prior_of(count) for count in shapes.satellites.tolist()], np.float64)
 
 
 def _confirmed(shapes: FixShapes, prior: Floats, rules: Rules, rng: np.random.Generator) -> ClaimedPositions:
-    run = episodes(shapes, SCENE, rng, length=np.ones(len(shapes.sky), np.int64))
-    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
-    agreed = BaselineDecisions(rules.determination, SCENE.pose_sigma_m).agreed(run.difference_m, s)
-    fix = inflated_covariance(shapes.claimed_m2[agreed], rules)
-    return of_fixes(
-        run.error_m[agreed, :2], run.difference_m[agreed], s[agreed], fix, SCENE.pose_sigma_m, prior[agreed]
-    )
+    return confirmed_claims(shapes, episodes(shapes, SCENE, rng, length=1), prior, rules)[1]
 
 
-def of_fixes(
-    error_m: Floats,
-    difference_m: Floats,
-    covariance_m2: Floats,
-    fix_m2: Floats,
-    pose_sigma_m: float,
-    prior: Floats,
-) -> ClaimedPositions:
-    """Confirmed fixes as the judge claims them: right, or wrong and then where road and pose say.
-
-    Errors (n, 2), differences (n, 3) with their covariances (n, 3, 3), those of the fixes (n, 3, 3), the share
-    `prior` (n,) of such fixes that is wrong. The poses rest on no fix: nothing has pulled them along.
-    """
-    n = len(error_m)
+def confirmed_claims(
+    shapes: FixShapes, run: Episodes, prior: Floats, rules: Rules
+) -> tuple[Booleans, ClaimedPositions]:
+    """Which of single epochs (n,) the judge confirms, and what it claims of those: right, or wrong and then where road
+    and pose say. `prior` (n,) is the share of such fixes that is wrong; the poses rest on no fix."""
+    judge = BaselineDecisions(rules, SCENE)
+    s = judge.covariance(shapes.claimed_m2, run.slope)
+    agreed = judge.agreed(run.difference_m, s)
+    difference_m, prior = run.difference_m[agreed], prior[agreed]
     prior_log_odds = np.log(prior) - np.log1p(-prior)
     w = wrong_fix.probability(
-        wrong_fix.log_odds(difference_m, covariance_m2, LEVEL_PARAMETERS.wrong_fix, prior_log_odds)
+        wrong_fix.log_odds(difference_m, s[agreed], LEVEL_PARAMETERS.wrong_fix, prior_log_odds)
     )
-    pose = np.broadcast_to(np.eye(2) * pose_sigma_m**2, (n, 2, 2))
-    mean = np.stack((np.zeros((n, 2)), difference_m[:, :2]), axis=1)
-    covariance = np.stack((fix_m2[:, :2, :2], pose), axis=1)
-    return ClaimedPositions(
-        error_m, np.column_stack((1.0 - w, w)), mean, covariance, w * LEVEL_PARAMETERS.pose_fault_prior
+    n = len(prior)
+    fix_m2 = inflated_covariance(shapes.claimed_m2[agreed], rules)[:, :2, :2]
+    pose_m2 = np.broadcast_to(np.eye(2) * SCENE.pose_sigma_m**2, (n, 2, 2))
+    return agreed, ClaimedPositions(
+        error_m=run.error_m[agreed, :2],
+        weight=np.column_stack((1.0 - w, w)),
+        mean_m=np.stack((np.zeros((n, 2)), difference_m[:, :2]), axis=1),
+        covariance_m2=np.stack((fix_m2, pose_m2), axis=1),
+        lost=w * LEVEL_PARAMETERS.pose_fault_prior,
     )
 
 
-def _doppler(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _doppler(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """A confirmed position, and on it the sum by trapezoids of velocities with Gauss-Markov errors."""
-    base = _rtk(seed, block, rules, draws, rng)
+    base = _rtk(block, draws, rng)
     base = base.chosen(rng.integers(len(base.lost), size=draws))
     steps, step_s = rng.integers(1, round(_LONGEST_S / _STEP_S) + 1, draws), _STEP_S
     grown_m2, sigma_m_s = claimed_growth()
@@ -164,45 +154,47 @@ def _doppler(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Gen
         before = velocity
         velocity = memory * before + math.sqrt(1.0 - memory**2) * sigma_m_s * rng.normal(size=(draws, 2))
         moved += np.where((steps >= k)[:, None], 0.5 * step_s * (before + velocity), 0.0)
-    added = grown_m2[steps][:, None, None, None] * np.eye(2)
-    lost = base.lost + LEVEL_PARAMETERS.pose_fault_prior
-    return ClaimedPositions(base.error_m + moved, base.weight, base.mean_m, base.covariance_m2 + added, lost)
+    return replace(
+        base,
+        error_m=base.error_m + moved,
+        covariance_m2=base.covariance_m2 + grown_m2[steps][:, None, None, None] * np.eye(2),
+        lost=base.lost + LEVEL_PARAMETERS.pose_fault_prior,
+    )
 
 
 def claimed_growth() -> tuple[Floats, float]:
     """Variance an axis that the product's own sum claims after k steps, (k,), and the σ of its velocities."""
-    own = DopplerPosition(LEVEL_PARAMETERS.doppler)
-    variances = [0.0]
+    doppler, v = LEVEL_PARAMETERS.doppler, VELOCITY_SIGMA_M_S**2
+    position, variances = DopplerPosition(doppler), [0.0]
     for k in range(round(_LONGEST_S / _STEP_S) + 1):
         time_ns = _EPOCH_NS + round(k * _STEP_S * 1e9)
-        v = VELOCITY_SIGMA_M_S**2
-        own.add_velocity(
+        position.add_velocity(
             SatelliteVelocity(
-                time_ns=time_ns,
-                velocity_enu_m_s=(0.0, 0.0, 0.0),
-                covariance_enu_m2_s2=(v, 0.0, 0.0, v, 0.0, v),
-                hdop=1.0,
-                satellites=8,
+                time_ns=time_ns, velocity_enu_m_s=(0.0, 0.0, 0.0), covariance_enu_m2_s2=(v, 0.0, 0.0, v, 0.0, v),
+                hdop=1.0, satellites=8,
             )
-        )
+        )  # fmt: skip
         if k == 0:
-            own.begin(time_ns)
+            position.begin(time_ns)
             continue
-        moved = own.at(time_ns)
+        moved = position.at(time_ns)
         assert moved is not None
         variances.append(float(moved.covariance_m2[0, 0]))
-    doppler = LEVEL_PARAMETERS.doppler
     return np.array(variances), math.hypot(doppler.sigma_scale * VELOCITY_SIGMA_M_S, doppler.sigma_floor_m_s)
 
 
 def _gaussian(covariance_m2: Floats, rng: np.random.Generator) -> ClaimedPositions:
     n = len(covariance_m2)
-    error = (np.linalg.cholesky(covariance_m2) @ rng.normal(size=(n, 2, 1)))[:, :, 0]
-    lost = np.full(n, LEVEL_PARAMETERS.pose_fault_prior)
-    return ClaimedPositions(error, np.ones((n, 1)), np.zeros((n, 1, 2)), covariance_m2[:, None], lost)
+    return ClaimedPositions(
+        error_m=(np.linalg.cholesky(covariance_m2) @ rng.normal(size=(n, 2, 1)))[:, :, 0],
+        weight=np.ones((n, 1)),
+        mean_m=np.zeros((n, 1, 2)),
+        covariance_m2=covariance_m2[:, None],
+        lost=np.full(n, LEVEL_PARAMETERS.pose_fault_prior),
+    )
 
 
-def _sensors(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _sensors(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """After up to 30 s of 2 to 15 m/s: 0.5 % of the way along and 1 % across, from a position of 0.05 m."""
     path = rng.uniform(0.1, 30.0, draws) * rng.uniform(2.0, 15.0, draws)
     turn = rng.uniform(0.0, 2.0 * math.pi, draws)
@@ -213,69 +205,65 @@ def _sensors(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Gen
     return _gaussian(covariance + across[:, None, None] * other[:, :, None] * other[:, None, :], rng)
 
 
-def _scan_match(
-    seed: int, block: int, rules: Rules, draws: int, rng: np.random.Generator
-) -> ClaimedPositions:
+def _scan_match(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     sigma = rng.uniform(0.05, 0.10, draws)
     return _gaussian(sigma[:, None, None] ** 2 * np.eye(2), rng)
 
 
-_MODES: dict[str, Callable[[int, int, Rules, int, np.random.Generator], ClaimedPositions]] = {
-    "rtk": _rtk, "doppler": _doppler, "sensors": _sensors, "scan_match": _scan_match,
-}  # fmt: skip
+_MODES: dict[str, Callable[[Block, int, np.random.Generator], ClaimedPositions]] = dict(
+    zip(MODES, (_rtk, _doppler, _sensors, _scan_match), strict=True)
+)
 
 
 def bounds(claimed: ClaimedPositions) -> ClaimedBounds:
-    """As the product makes them; the height, of which nothing is told here, has a part of 1 m."""
-    n, parts = claimed.weight.shape
+    """As the product makes them; the height, which plays no role here, has a part of 1 m."""
     mixtures = [
         ErrorMixture(
             tuple(
-                MixtureComponent(
-                    weight=float(claimed.weight[i, k]),
-                    mean_m=(float(claimed.mean_m[i, k, 0]), float(claimed.mean_m[i, k, 1]), 0.0),
-                    horizontal_m2=_plane(claimed.covariance_m2[i, k]),
-                    up_m2=1.0,
-                )
-                for k in range(parts)
+                MixtureComponent(weight=weight, mean_m=(*mean, 0.0), horizontal_m2=(ee, en, nn), up_m2=1.0)
+                for weight, mean, ((ee, en), (_, nn)) in zip(*parts, strict=True)
             ),
-            float(claimed.lost[i]),
+            lost,
         )
-        for i in range(n)
+        for *parts, lost in zip(
+            claimed.weight.tolist(),
+            claimed.mean_m.tolist(),
+            claimed.covariance_m2.tolist(),
+            claimed.lost.tolist(),
+            strict=True,
+        )
     ]
-    found = bounds_of(mixtures, LEVEL_PARAMETERS)
-    turn = np.array([one.orientation_rad for one in found])
-    east, north = claimed.error_m.T
+    by_product = bounds_of(mixtures, LEVEL_PARAMETERS)
+    column = {
+        name: np.array([getattr(bound, name) for bound in by_product])
+        for name in (
+            "orientation_rad", "semi_major_99_m", "semi_minor_99_m", "semi_major_999_m", "semi_minor_999_m",
+            "horizontal_level_m",
+        )
+    }  # fmt: skip
+    turn, (east, north) = column["orientation_rad"], claimed.error_m.T
     along, across = np.cos(turn) * east + np.sin(turn) * north, np.cos(turn) * north - np.sin(turn) * east
-
-    def within(major_m: list[float], minor_m: list[float]) -> Floats:
-        return np.column_stack((along / np.array(major_m), across / np.array(minor_m)))
-
-    return ClaimedBounds(
-        within([one.semi_major_99_m for one in found], [one.semi_minor_99_m for one in found]),
-        within([one.semi_major_999_m for one in found], [one.semi_minor_999_m for one in found]),
-        np.array([one.horizontal_level_m for one in found]),
+    in_99, in_999 = (
+        np.column_stack((along / column[f"semi_major_{p}_m"], across / column[f"semi_minor_{p}_m"]))
+        for p in ("99", "999")
     )
-
-
-def _plane(covariance_m2: Floats) -> tuple[float, float, float]:
-    return float(covariance_m2[0, 0]), float(covariance_m2[0, 1]), float(covariance_m2[1, 1])
+    return ClaimedBounds(in_99=in_99, in_999=in_999, level_m=column["horizontal_level_m"])
 
 
 def _counts(claimed: ClaimedPositions) -> dict[str, Any]:
-    n, found = len(claimed.error_m), bounds(claimed)
-    error, hpl = np.hypot(claimed.error_m[:, 0], claimed.error_m[:, 1]), found.level_m
+    n, claims = len(claimed.error_m), bounds(claimed)
+    error, hpl = np.hypot(claimed.error_m[:, 0], claimed.error_m[:, 1]), claims.level_m
     chart = np.histogram2d(error, hpl, (CHART_M, CHART_M))[0].astype(np.int64)
     return {
         "draws": n,
-        "inside_99": int((np.hypot(*found.in_99.T) <= 1.0).sum()),
-        "inside_999": int((np.hypot(*found.in_999.T) <= 1.0).sum()),
+        "inside_99": int((np.hypot(*claims.in_99.T) <= 1.0).sum()),
+        "inside_999": int((np.hypot(*claims.in_999.T) <= 1.0).sum()),
         "beyond_level": int((error > hpl).sum()),
         "available": [int((hpl < limit).sum()) for limit in ALERT_LIMITS_M],
         "error_m": error,
         "hpl_m": hpl,
         "chart": chart,
-        "circle": found.in_999[:_IN_CIRCLE],
+        "circle": claims.in_999[:_IN_CIRCLE],
     }
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from camber.formats.observations import Floats
+from camber.validation.lab.error_model import HEADLINE, scene_of
+from camber.validation.lab.misleading_information import ALERT_LIMIT_M
 from camber.validation.plots import (
     AMBER,
     GREEN,
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ALERT_LIMIT_M = 1.5
 _BASELINES = {
     "height only": ORANGE, "LiDAR only": AMBER, "height and LiDAR": PRIMARY, "all, with residuals": GREEN,
 }  # fmt: skip
@@ -37,10 +38,10 @@ def charts(figures: dict[str, Any]) -> dict[str, str]:
     """SVG by file name."""
     levels = figures["levels"]
     with plot_style():
-        weighted_draws = {"missed.svg": _missed_figure(figures)}
+        drawn = {"missed.svg": _missed_figure(figures)}
         for mode, counts in levels["modes"].items():
-            weighted_draws[f"stanford-{mode}.svg"] = _stanford_figure(mode, levels, counts)
-        return {name: svg_text(figure) for name, figure in weighted_draws.items()}
+            drawn[f"stanford-{mode}.svg"] = _stanford_figure(mode, levels, counts)
+        return {name: svg_text(figure) for name, figure in drawn.items()}
 
 
 def _stanford_figure(mode: str, levels: dict[str, Any], counts: dict[str, Any]) -> Figure:
@@ -83,11 +84,7 @@ def _draw_stanford(axes: Axes, edges_m: Floats, counts: Floats) -> None:
 
 def _missed_figure(figures: dict[str, Any]) -> Figure:
     """Share of episodes confirmed at any epoch, over the size of the error, of the two headline scenes by kind."""
-    scenes = [
-        rows
-        for rows in figures["missed"]
-        if (rows["pose_sigma_m"], rows["map_sigma_m"]) in ((0.05, 0.05), (0.10, 0.05))
-    ]
+    scenes = [rows for rows in figures["missed"] if scene_of(rows) in HEADLINE]
     figure, panels = stacked_panels("wrong fixes confirmed", [1.9] * len(scenes))
     draw_key(panels[0], _BASELINES)
     for axes, rows in zip(panels, scenes, strict=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 from camber.formats.errors import FormatError
@@ -46,7 +47,9 @@ def _write(options: argparse.Namespace) -> None:
     trials = QUICK_TRIALS if options.quick else options.trials
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)
-    figures = run(RunSize(trials, options.seed), options.processes, lambda text: print(text, file=sys.stderr))
+    figures = run(
+        RunSize(trials=trials, seed=options.seed), options.processes, partial(print, file=sys.stderr)
+    )
     (options.out / "lab.json").write_text(json.dumps(figures, indent=1), "utf-8")
     text = page(figures)
     (options.out / "lab.md").write_text(text, "utf-8")

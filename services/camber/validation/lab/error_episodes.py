@@ -15,23 +15,25 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FaultOffsets:
-    """Added to episodes (n, …), unknown to all: to the pose east and north, the road's height, the antenna's, and to
-    the fix itself (a base station that is wrong); claims stay as they are."""
+    """Added to episodes, without a claim of it: to the pose (n, 2) east and north, to road or antenna height (n,), and
+    to the fix (n, 3) by a base coordinate error. A scalar holds for all."""
 
-    pose_m: Floats
-    road_m: Floats
-    antenna_m: Floats
-    fix_m: Floats
+    pose_m: Floats | float = 0.0
+    height_m: Floats | float = 0.0
+    fix_m: Floats | float = 0.0
 
-    @classmethod
-    def none(cls, n: int) -> FaultOffsets:
-        """No fault at all."""
-        return cls(np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros((n, 3)))
+    def __add__(self, other: FaultOffsets) -> FaultOffsets:
+        """Both at once."""
+        both = {name: getattr(self, name) + getattr(other, name) for name in self.__slots__}
+        return FaultOffsets(**both)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+NO_FAULT = FaultOffsets()
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Episodes:
     """n episodes one after the other in m rows. `first` (n,) the row of each, `length` (n,), `episode` (m,).
 
@@ -49,21 +51,18 @@ class Episodes:
 
 
 def episodes(
-    shapes: FixShapes,
-    scene: Scene,
-    rng: np.random.Generator,
-    faults: FaultOffsets | None = None,
-    length: Integers | None = None,
-    assumed: Assumptions = ASSUMPTIONS,
-) -> Episodes:
-    """One of each shape. Durations are log-uniform unless lengths (n,) in epochs are given."""
+    shapes: FixShapes, scene: Scene, rng: np.random.Generator, *,
+    faults: FaultOffsets = NO_FAULT, length: int | None = None, assumed: Assumptions = ASSUMPTIONS,
+) -> Episodes:  # fmt: skip
+    """One of each shape. Durations are log-uniform unless a length in epochs is given."""
     n = len(shapes.sky)
-    faults = faults or FaultOffsets.none(n)
     if length is None:
         seconds = np.exp(rng.uniform(np.log(assumed.shortest_s), np.log(assumed.longest_s), n))
-        length = np.maximum(np.round(seconds * assumed.epochs_per_s), 1).astype(np.int64)
-    first = np.concatenate(([0], np.cumsum(length)[:-1]))
-    rows = int(length.sum())
+        lengths = np.maximum(np.round(seconds * assumed.epochs_per_s), 1).astype(np.int64)
+    else:
+        lengths = np.full(n, length, np.int64)
+    first = np.concatenate(([0], np.cumsum(lengths)[:-1]))
+    rows = int(lengths.sum())
     speed = np.where(rng.random(n) < assumed.standing, 0.0, rng.uniform(2.0, 15.0, n))
     time_s = rng.uniform(*assumed.reflection_time_s, n)
     slope: Floats = assumed.slope_sigma * rng.normal(size=(n, 2))
@@ -71,13 +70,16 @@ def episodes(
     spread = np.asarray(np.linalg.cholesky(shapes.reflected_m2 + 1e-12 * np.eye(3)), np.float64)
     difference, error, pose = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 2))
     _run(
-        first, length, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, speed, slope,
-        faults.pose_m, faults.road_m + faults.antenna_m,
+        first, lengths, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, speed, slope,
+        np.zeros((n, 2)) + faults.pose_m, np.zeros(n) + faults.height_m,
         scene.pose_sigma_m, scene.map_sigma_m, assumed.antenna_sigma_m,
         assumed.pose_time_s, assumed.map_length_m, assumed.antenna_time_s, 1.0 / assumed.epochs_per_s, rng,
         difference, error, pose,
     )  # fmt: skip
-    return Episodes(first, length, np.repeat(np.arange(n), length), difference, error, pose, slope)
+    return Episodes(
+        first=first, length=lengths, episode=np.repeat(np.arange(n), lengths),
+        difference_m=difference, error_m=error, pose_error_m=pose, slope=slope,
+    )  # fmt: skip
 
 
 @compiled

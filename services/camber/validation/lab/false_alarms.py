@@ -9,36 +9,31 @@ one: the rate is that of an epoch, not of an episode.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.rules import Rules
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, fix_shapes
 from camber.validation.lab.baselines import BaselineDecisions
-from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene
+from camber.validation.lab.work_blocks import AddingUp, Block
 
 Floats = NDArray[np.float64]
 
 WIDENED = 3.0
+"""Chosen: a sample then lies beyond 5 σ often enough that rates of 1e-6 rest on hundreds of effective events."""
 
 
-@dataclass(slots=True)
-class WeightedRate:
+@dataclass(slots=True, kw_only=True)
+class WeightedRate(AddingUp):
     """Σ w 1, Σ w² 1 over draws in which something happens, and how many draws there were."""
 
     total: float = 0.0
     squares: float = 0.0
     draws: int = 0
-
-    def add(self, other: WeightedRate) -> None:
-        """Take another block's draws in."""
-        self.total += other.total
-        self.squares += other.squares
-        self.draws += other.draws
 
     @property
     def rate(self) -> float:
@@ -71,16 +66,24 @@ def weighted_draws(
     return value, 2.0 / (1.0 + wide)
 
 
-def weighted_rate(weights: Floats, happens: NDArray[np.bool_]) -> WeightedRate:
-    """Of weighted draws (n,)."""
-    w = weights[happens]
-    return WeightedRate(float(w.sum()), float((w**2).sum()), len(weights))
+def weighted_rate(weights: Floats, happens: NDArray[np.bool_] | None = None) -> WeightedRate:
+    """Of weighted draws (n,); without `happens` the weights are probabilities."""
+    w = weights if happens is None else weights[happens]
+    return WeightedRate(total=float(w.sum()), squares=float((w**2).sum()), draws=len(weights))
 
 
-def right_fixes(seed: int, block: int, skies: int, name: str) -> FixShapes:
+def sum_of(rates: Iterable[WeightedRate]) -> WeightedRate:
+    """The draws of all blocks together."""
+    total = WeightedRate()
+    for rate in rates:
+        total.add(rate)
+    return total
+
+
+def right_fixes(block: Block, name: str) -> FixShapes:
     """One of each of a block's skies, where it is a fix at all."""
-    rng = stream(seed, f"lab/right/{name}/{block}")
-    return fix_shapes(random_skies(skies, rng), "right", 1, rng)
+    rng = block.stream(f"right/{name}")
+    return fix_shapes(random_skies(block.skies, rng), "right", 1, rng)
 
 
 def right_covariance(shapes: FixShapes, slope: Floats, scene: Scene) -> Floats:
@@ -95,25 +98,21 @@ def right_covariance(shapes: FixShapes, slope: Floats, scene: Scene) -> Floats:
     return t
 
 
-def alarms_block(
-    scenes: tuple[Scene, ...], seed: int, block: int, skies: int, repeats: int, rules: Rules
-) -> list[dict[str, WeightedRate]]:
+def alarms_block(block: Block, scenes: tuple[Scene, ...]) -> list[dict[str, WeightedRate]]:
     """For each scene the rates `false_alarm`, `held_back` (neither confirmed nor contradictory) and, of all
     draws, `all`, which is 1 but for chance."""
-    shapes = right_fixes(seed, block, skies, "alarms")
-    found = []
+    shapes = right_fixes(block, "alarms")
+    by_scene, n = [], len(shapes.sky)
     for scene in scenes:
-        controls = BaselineDecisions(rules.determination, scene.pose_sigma_m)
-        rng = stream(seed, f"lab/alarms/{scene.name}/{block}")
+        judge, rng = BaselineDecisions(block.rules, scene), block.stream(f"alarms/{scene.name}")
         rates = {name: WeightedRate() for name in ("false_alarm", "held_back", "all")}
-        for _ in range(repeats):
-            n = len(shapes.sky)
+        for _ in range(block.repeats):
             slope = ASSUMPTIONS.slope_sigma * rng.normal(size=(n, 2))
             d, weights = weighted_draws(right_covariance(shapes, slope, scene), rng)
-            s = innovation_covariance(shapes.claimed_m2, slope, scene, rules)
-            contradicted = controls.contradicted(d, s)
+            s = judge.covariance(shapes.claimed_m2, slope)
+            contradicted = judge.contradicted(d, s)
             rates["false_alarm"].add(weighted_rate(weights, contradicted))
-            rates["held_back"].add(weighted_rate(weights, ~contradicted & ~controls.agreed(d, s)))
-            rates["all"].add(weighted_rate(weights, np.ones(n, np.bool_)))
-        found.append(rates)
-    return found
+            rates["held_back"].add(weighted_rate(weights, ~contradicted & ~judge.agreed(d, s)))
+            rates["all"].add(weighted_rate(weights))
+        by_scene.append(rates)
+    return by_scene

@@ -1,4 +1,4 @@
-"""Episodes of wrong fixes: what each control lets through, how long until it says so, over the error's size.
+"""Episodes of wrong fixes: what each baseline confirms, and how long until it alerts, over the error's size.
 
 An epoch is harmful where the fix's horizontal error exceeds a threshold. An episode is *missed* where a harmful
 position is confirmed at any of its epochs, and *late* where harmful positions are confirmed for a second on end, or
@@ -7,19 +7,16 @@ at all harmful epochs of it. The time to alert is the longest such stretch: an e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.integrity.rules import Rules
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, Kind, fix_shapes
 from camber.validation.lab.baselines import ALL, BASELINES, BaselineDecisions
 from camber.validation.lab.error_episodes import Episodes, episodes
-from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene
+from camber.validation.lab.work_blocks import AddingUp, Block
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -29,102 +26,92 @@ THRESHOLDS_M = (0.5, 1.0)
 EDGES_M = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf])
 _LONGEST = int(ASSUMPTIONS.longest_s * ASSUMPTIONS.epochs_per_s) + 1
 _AT_ONCE = 1000
+"""Episodes at once. Chosen: up to 1200 epochs of each fit into tens of megabytes."""
 _TRIES = 20
+"""On each sky. Chosen: a search on it succeeds in about one try of ninety (`run.py`)."""
 LATE_EPOCHS = round(ASSUMPTIONS.epochs_per_s)
 
 
-@dataclass(slots=True)
-class MissedDetections:
-    """Counts that add up. By threshold: `harmful` episodes (t,), by control and threshold `missed`, `late` (c, t), and
-    Σ over skies of their squares `missed_squared`, `harmful_skies` (t,). By control and size: `in_bin` (b,),
+class MissedDetections(AddingUp):
+    """Counts that add up. By threshold: `harmful` episodes (t,), by baseline and threshold `missed`, `late` (c, t), and
+    Σ over skies of their squares `missed_squared`, `harmful_skies` (t,). By baseline and size: `in_bin` (b,),
     `confirmed_in_bin` (c, b). Stretches of `ALL` in epochs: `stretch` (t, k), of episodes that it did alert.
     """
 
-    harmful: Integers = field(default_factory=lambda: np.zeros(len(THRESHOLDS_M), np.int64))
-    skies: Integers = field(default_factory=lambda: np.zeros(len(THRESHOLDS_M), np.int64))
-    missed: Integers = field(default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64))
-    late: Integers = field(default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64))
-    missed_squared: Integers = field(
-        default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64)
-    )
-    in_bin: Integers = field(default_factory=lambda: np.zeros(len(EDGES_M) - 1, np.int64))
-    confirmed_in_bin: Integers = field(
-        default_factory=lambda: np.zeros((len(BASELINES), len(EDGES_M) - 1), np.int64)
-    )
-    stretch: Integers = field(default_factory=lambda: np.zeros((len(THRESHOLDS_M), _LONGEST), np.int64))
-    epochs: int = 0
+    __slots__ = (
+        "confirmed_in_bin", "epochs", "harmful", "in_bin", "late", "missed", "missed_squared", "skies", "stretch"
+    )  # fmt: skip
 
-    def add(self, other: MissedDetections) -> None:
-        """Take another block's counts in."""
-        for name in self.__slots__:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
+    def __init__(self) -> None:
+        c, t, b = len(BASELINES), len(THRESHOLDS_M), len(EDGES_M) - 1
+        self.harmful, self.skies = np.zeros((2, t), np.int64)
+        self.missed, self.late, self.missed_squared = np.zeros((3, c, t), np.int64)
+        self.in_bin, self.confirmed_in_bin = np.zeros(b, np.int64), np.zeros((c, b), np.int64)
+        self.stretch = np.zeros((t, _LONGEST), np.int64)
+        self.epochs = 0
 
 
-def missed_block(
-    kind: Kind, scenes: tuple[Scene, ...], seed: int, block: int, skies: int, repeats: int, rules: Rules
-) -> list[MissedDetections]:
+def missed_block(block: Block, kind: Kind, scenes: tuple[Scene, ...]) -> list[MissedDetections]:
     """Counts for each scene of the wrong fixes of one block's skies, so many episodes of each."""
-    shapes = wrong_fixes(kind, seed, block, skies)
-    found = []
-    for scene in scenes:
-        rng = stream(seed, f"lab/missed/{kind}/{scene.name}/{block}")
-        found.append(_counted(shapes, scene, repeats, rules, rng))
-    return found
+    shapes = wrong_fixes(block, kind)
+    return [_counted(shapes, scene, block, block.stream(f"missed/{kind}/{scene.name}")) for scene in scenes]
 
 
-def wrong_fixes(kind: Kind, seed: int, block: int, skies: int) -> FixShapes:
+def wrong_fixes(block: Block, kind: Kind) -> FixShapes:
     """Of one block's skies, those that are at least as far off as the first bin."""
-    rng = stream(seed, f"lab/skies/{kind}/{block}")
-    shapes = fix_shapes(random_skies(skies, rng), kind, _TRIES, rng)
+    rng = block.stream(f"skies/{kind}")
+    shapes = fix_shapes(random_skies(block.skies, rng), kind, _TRIES, rng)
     return shapes.chosen(np.hypot(shapes.shift_m[:, 0], shapes.shift_m[:, 1]) >= EDGES_M[0])
 
 
-def _counted(
-    shapes: FixShapes, scene: Scene, repeats: int, rules: Rules, rng: np.random.Generator
-) -> MissedDetections:
-    total, controls = MissedDetections(), BaselineDecisions(rules.determination, scene.pose_sigma_m)
+def _counted(shapes: FixShapes, scene: Scene, block: Block, rng: np.random.Generator) -> MissedDetections:
+    total, judge = MissedDetections(), BaselineDecisions(block.rules, scene)
     n = len(shapes.sky)
     _, sky = np.unique(shapes.sky, return_inverse=True)
-    of_sky = np.zeros((int(sky.max(initial=-1)) + 1, len(BASELINES), len(THRESHOLDS_M)), np.int64)
-    harmful_sky = np.zeros((len(of_sky), len(THRESHOLDS_M)), np.bool_)
-    for _ in range(repeats):
+    skies = int(sky.max(initial=-1)) + 1
+    of_sky = np.zeros((skies, len(BASELINES), len(THRESHOLDS_M)), np.int64)
+    harmful_sky = np.zeros((skies, len(THRESHOLDS_M)), np.bool_)
+    for _ in range(block.repeats):
         for begin in range(0, n, _AT_ONCE):
             part = np.arange(begin, min(begin + _AT_ONCE, n))
             chosen = shapes.chosen(part)
             run = episodes(chosen, scene, rng)
-            s = innovation_covariance(chosen.claimed_m2, run.slope, scene, rules)
-            confirmed = controls.confirmed(run.difference_m, s, run.episode, chosen.residuals_agree)
-            _count(total, run, chosen, confirmed, of_sky, harmful_sky, sky[part])
+            s = judge.covariance(chosen.claimed_m2, run.slope)
+            confirmed = judge.confirmed(run.difference_m, s, run.episode, chosen.residuals_agree)
+            harmful, missed = _count(total, run, chosen, confirmed)
+            np.add.at(of_sky, sky[part], missed)
+            np.logical_or.at(harmful_sky, sky[part], harmful)
     total.missed_squared += (of_sky**2).sum(axis=0)
     total.skies += harmful_sky.sum(axis=0)
     return total
 
 
 def _count(
-    total: MissedDetections, run: Episodes, shapes: FixShapes, confirmed: dict[str, Booleans],
-    of_sky: Integers, harmful_sky: Booleans, sky: Integers,
-) -> None:  # fmt: skip
+    total: MissedDetections, run: Episodes, shapes: FixShapes, confirmed: dict[str, Booleans]
+) -> tuple[Booleans, Booleans]:
+    """Add n episodes; which are harmful (n, t), and which of them each baseline misses (n, c, t)."""
     horizontal = np.hypot(run.error_m[:, 0], run.error_m[:, 1])
     total.epochs += len(horizontal)
     size = np.hypot(shapes.shift_m[:, 0], shapes.shift_m[:, 1])
     into = np.searchsorted(EDGES_M, size, "right") - 1
     total.in_bin += np.bincount(into, minlength=len(EDGES_M) - 1)
+    ever = np.zeros((len(size), len(THRESHOLDS_M)), np.bool_)
+    missed = np.zeros((len(size), len(BASELINES), len(THRESHOLDS_M)), np.bool_)
     for c, name in enumerate(BASELINES):
         anywhere = np.logical_or.reduceat(confirmed[name], run.first)
         total.confirmed_in_bin[c] += np.bincount(into[anywhere], minlength=len(EDGES_M) - 1)
-    for t, threshold_m in enumerate(THRESHOLDS_M):
-        harmful = horizontal > threshold_m
-        ever = np.logical_or.reduceat(harmful, run.first)
-        total.harmful[t] += int(ever.sum())
-        harmful_sky[sky[ever], t] = True
-        for c, name in enumerate(BASELINES):
+        for t, threshold_m in enumerate(THRESHOLDS_M):
+            harmful = horizontal > threshold_m
+            ever[:, t] = np.logical_or.reduceat(harmful, run.first)
             longest, alerted = longest_confirmed_runs(harmful, confirmed[name], run.first, run.length)
-            missed = ever & (longest > 0)
-            total.missed[c, t] += int(missed.sum())
-            total.late[c, t] += int((ever & ((longest >= LATE_EPOCHS) | ~alerted)).sum())
-            np.add.at(of_sky[:, c, t], sky[missed], 1)
+            missed[:, c, t] = ever[:, t] & (longest > 0)
+            late = ever[:, t] & ((longest >= LATE_EPOCHS) | ~alerted)
+            total.late[c, t] += int(late.sum())
             if name == ALL:
-                total.stretch[t] += np.bincount(longest[ever & alerted], minlength=_LONGEST)
+                total.stretch[t] += np.bincount(longest[ever[:, t] & alerted], minlength=_LONGEST)
+    total.harmful += ever.sum(axis=0)
+    total.missed += missed.sum(axis=0)
+    return ever, missed
 
 
 @compiled

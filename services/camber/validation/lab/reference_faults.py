@@ -1,7 +1,7 @@
-"""Faults of what a fix is judged by, one at a time and together: what becomes of right fixes and of wrong ones.
+"""Faults of what a fix is judged by, one at a time and together: their effect on right fixes and on wrong ones.
 
-A fault is there for the whole episode, and nothing claims it. Of right integers single epochs are judged; with a base
-station that is wrong they are harmful too. Of wrong integers (`search`) episodes of ten seconds are.
+A fault lasts for the whole episode, and nothing claims it. Of right integers single epochs are judged; with a base
+coordinate error they are harmful too. Of wrong integers (`search`) episodes of ten seconds are.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.rules import Rules
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import JUDGE, BaselineDecisions
-from camber.validation.lab.error_episodes import Episodes, FaultOffsets, episodes
-from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
+from camber.validation.lab.error_episodes import NO_FAULT, Episodes, FaultOffsets, episodes
+from camber.validation.lab.error_model import ASSUMPTIONS, HEADLINE
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import THRESHOLDS_M, wrong_fixes
+from camber.validation.lab.work_blocks import AddingUp, Block
 
 Floats = NDArray[np.float64]
 Generator = np.random.Generator
 Fault = Callable[[FixShapes, Generator], FaultOffsets]
 
-SCENE = Scene(0.05, 0.05)
+SCENE = HEADLINE[0]
 _LENGTH = round(10.0 * ASSUMPTIONS.epochs_per_s)
 
 
@@ -33,60 +32,41 @@ def _signs(n: int, rng: Generator) -> Floats:
     return np.where(rng.random(n) < 0.5, -1.0, 1.0)
 
 
-def _pose(pose_m: Floats) -> FaultOffsets:
-    n = len(pose_m)
-    return FaultOffsets(pose_m, np.zeros(n), np.zeros(n), np.zeros((n, 3)))
-
-
 def _road(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
-        n = len(shapes.sky)
-        return FaultOffsets(np.zeros((n, 2)), size_m * _signs(n, rng), np.zeros(n), np.zeros((n, 3)))
-
-    return of
+    return lambda shapes, rng: FaultOffsets(height_m=size_m * _signs(len(shapes.sky), rng))
 
 
 def _antenna(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
-        n = len(shapes.sky)
-        return FaultOffsets(np.zeros((n, 2)), np.zeros(n), np.full(n, size_m), np.zeros((n, 3)))
-
-    return of
+    return lambda shapes, rng: FaultOffsets(height_m=size_m)
 
 
 def _slides(shapes: FixShapes, rng: Generator) -> FaultOffsets:
     n = len(shapes.sky)
-    return _pose(shapes.along * (_signs(n, rng) * rng.uniform(0.5, 3.0, n))[:, None])
+    return FaultOffsets(pose_m=shapes.along * (_signs(n, rng) * rng.uniform(0.5, 3.0, n))[:, None])
 
 
 def _symmetric(shapes: FixShapes, rng: Generator) -> FaultOffsets:
     n = len(shapes.sky)
     angle = rng.uniform(0.0, 2.0 * np.pi, n)
-    return _pose(rng.uniform(2.0, 6.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle))))
+    return FaultOffsets(
+        pose_m=rng.uniform(2.0, 6.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+    )
 
 
 def _base(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
-        n = len(shapes.sky)
-        vector = rng.normal(size=(n, 3))
-        vector *= size_m / np.linalg.norm(vector, axis=1, keepdims=True)
-        return FaultOffsets(np.zeros((n, 2)), np.zeros(n), np.zeros(n), vector)
+    def offsets(shapes: FixShapes, rng: Generator) -> FaultOffsets:
+        vector = rng.normal(size=(len(shapes.sky), 3))
+        return FaultOffsets(fix_m=vector * (size_m / np.linalg.norm(vector, axis=1, keepdims=True)))
 
-    return of
+    return offsets
 
 
 def _both(one: Fault, other: Fault) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
-        a, b = one(shapes, rng), other(shapes, rng)
-        return FaultOffsets(
-            a.pose_m + b.pose_m, a.road_m + b.road_m, a.antenna_m + b.antenna_m, a.fix_m + b.fix_m
-        )
-
-    return of
+    return lambda shapes, rng: one(shapes, rng) + other(shapes, rng)
 
 
 FAULTS: dict[str, Fault] = {
-    "none": lambda shapes, rng: FaultOffsets.none(len(shapes.sky)),
+    "none": lambda shapes, rng: NO_FAULT,
     "map, step of 0.15 m": _road(0.15),
     "map, step of 0.5 m": _road(0.5),
     "level, 5 m": _road(5.0),
@@ -103,8 +83,8 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-@dataclass(slots=True)
-class FaultCounts:
+@dataclass(slots=True, kw_only=True)
+class FaultCounts(AddingUp):
     """Of right integers: `right` epochs, of them confirmed, contradicted, harmful, and harmful and confirmed.
 
     Of wrong ones: harmful episodes, and of these missed.
@@ -118,62 +98,40 @@ class FaultCounts:
     episodes: int = 0
     missed: int = 0
 
-    def add(self, other: FaultCounts) -> None:
-        """Take another block's counts in."""
-        for name in self.__slots__:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
 
-
-def faults_block(seed: int, block: int, skies: int, repeats: int, rules: Rules) -> dict[str, FaultCounts]:
+def faults_block(block: Block) -> dict[str, FaultCounts]:
     """Counts for each fault."""
-    right, wrong = right_fixes(seed, block, skies, "faults"), wrong_fixes("search", seed, block, skies)
-    controls = BaselineDecisions(rules.determination, SCENE.pose_sigma_m)
-    found = {}
+    right, wrong = right_fixes(block, "faults"), wrong_fixes(block, "search")
+    judge, by_fault = BaselineDecisions(block.rules, SCENE), {}
     for name, fault in FAULTS.items():
-        rng = stream(seed, f"lab/faults/{name}/{block}")
-        counts = FaultCounts()
-        for _ in range(repeats):
-            _right(counts, right, fault, controls, rules, rng)
+        rng, counts = block.stream(f"faults/{name}"), FaultCounts()
+        for _ in range(block.repeats):
+            run = episodes(right, SCENE, rng, faults=fault(right, rng), length=1)
+            _count_right(counts, run, right, judge)
             if len(wrong.sky):
-                _wrong(counts, wrong, fault, controls, rules, rng)
-        found[name] = counts
-    return found
+                run = episodes(wrong, SCENE, rng, faults=fault(wrong, rng), length=_LENGTH)
+                _count_wrong(counts, run, wrong, judge)
+        by_fault[name] = counts
+    return by_fault
 
 
-def _right(
-    counts: FaultCounts,
-    shapes: FixShapes,
-    fault: Fault,
-    controls: BaselineDecisions,
-    rules: Rules,
-    rng: Generator,
-) -> None:
-    run = episodes(shapes, SCENE, rng, fault(shapes, rng), np.ones(len(shapes.sky), np.int64))
-    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
-    confirmed, harmful = controls.agreed(run.difference_m, s), _harmful(run)
+def _count_right(counts: FaultCounts, run: Episodes, shapes: FixShapes, judge: BaselineDecisions) -> None:
+    s = judge.covariance(shapes.claimed_m2, run.slope)
+    confirmed, harmful = judge.agreed(run.difference_m, s), _harmful(run)
     counts.right += len(confirmed)
     counts.confirmed += int(confirmed.sum())
-    counts.contradicted += int(controls.contradicted(run.difference_m, s).sum())
+    counts.contradicted += int(judge.contradicted(run.difference_m, s).sum())
     counts.harmful += int(harmful.sum())
     counts.harmful_confirmed += int((harmful & confirmed).sum())
 
 
-def _wrong(
-    counts: FaultCounts,
-    shapes: FixShapes,
-    fault: Fault,
-    controls: BaselineDecisions,
-    rules: Rules,
-    rng: Generator,
-) -> None:
-    run = episodes(shapes, SCENE, rng, fault(shapes, rng), np.full(len(shapes.sky), _LENGTH))
-    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
-    confirmed = controls.confirmed(run.difference_m, s, run.episode, shapes.residuals_agree)[JUDGE]
+def _count_wrong(counts: FaultCounts, run: Episodes, shapes: FixShapes, judge: BaselineDecisions) -> None:
+    s = judge.covariance(shapes.claimed_m2, run.slope)
+    confirmed = judge.confirmed(run.difference_m, s, run.episode, shapes.residuals_agree)[JUDGE]
     harmful = _harmful(run)
     counts.episodes += int(np.logical_or.reduceat(harmful, run.first).sum())
     counts.missed += int(np.logical_or.reduceat(harmful & confirmed, run.first).sum())
 
 
 def _harmful(run: Episodes) -> NDArray[np.bool_]:
-    far: NDArray[np.bool_] = np.hypot(run.error_m[:, 0], run.error_m[:, 1]) > THRESHOLDS_M[0]
-    return far
+    return np.asarray(np.hypot(run.error_m[:, 0], run.error_m[:, 1]) > THRESHOLDS_M[0])

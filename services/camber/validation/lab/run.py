@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,28 +15,31 @@ from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import Kind
 from camber.validation.lab.baselines import BASELINES
 from camber.validation.lab.bound_coverage import DRAWS, LEVEL_PARAMETERS, coverage_block, coverage_figures
-from camber.validation.lab.error_model import ASSUMPTIONS, Scene
-from camber.validation.lab.false_alarms import WeightedRate, alarms_block
+from camber.validation.lab.error_model import ASSUMPTIONS, HEADLINE, Scene
+from camber.validation.lab.false_alarms import alarms_block, sum_of
 from camber.validation.lab.misleading_information import misleading_block, misleading_figures
 from camber.validation.lab.missed_detection import EDGES_M, THRESHOLDS_M, MissedDetections, missed_block
 from camber.validation.lab.reference_faults import SCENE, FaultCounts, faults_block
-from camber.validation.lab.work_blocks import Results, Task, workers
+from camber.validation.lab.work_blocks import Block, Results, workers
 from camber.validation.statistics import clopper_pearson
 
-HEADLINE = (Scene(0.05, 0.05), Scene(0.10, 0.05))
-SENSITIVITY_SCENES = (
-    Scene(0.03, 0.05), Scene(0.05, 0.03), Scene(0.05, 0.10), Scene(0.10, 0.10), Scene(0.20, 0.05), Scene(0.50, 0.05),
-)  # fmt: skip
+SENSITIVITY_SCENES = tuple(
+    Scene(pose_sigma_m=pose_m, map_sigma_m=map_m)
+    for pose_m, map_m in ((0.03, 0.05), (0.05, 0.03), (0.05, 0.10), (0.10, 0.10), (0.20, 0.05), (0.50, 0.05))
+)
 """The last two: dead reckoning after some seconds."""
+SCENES = (*HEADLINE, *SENSITIVITY_SCENES)
 KINDS: tuple[Kind, ...] = ("search", "cycles")
 _SHAPES_OF_SKY: dict[Kind, float] = {"cycles": 9.0, "search": 0.22}
 _SKIES_OF_BLOCK: dict[Kind, int] = {"cycles": 50, "search": 400}
 _EPISODES_OF_SKY = 25
-_BESIDE_SHARE = 10
+"""Chosen: episodes of one sky are alike, so that more of them add little."""
+_SENSITIVITY_SHARE = 10
+"""Chosen: the other scenes get a tenth of the episodes of the headline's; nothing is required of them."""
 _DRAWS_OF_TRIAL, _SKIES_OF_ALARMS = 4, 500
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunSize:
     """`trials` episodes of wrong fixes of each kind in each of the two headline scenes; the rest follows from it."""
 
@@ -51,25 +55,24 @@ class RunSize:
         return blocks, max(1, round(self.trials / (blocks * of_block)))
 
 
-def run(size: RunSize, processes: int, say: Callable[[str], None]) -> dict[str, Any]:
-    """The lab's figures, as `lab.json` holds them. `say` is told what is under way."""
-    rules = Rules()
-    began = time.monotonic()
+def run(size: RunSize, processes: int, report: Callable[[str], None]) -> dict[str, Any]:
+    """The lab's figures, as `lab.json` holds them; `report` gets a line at the start of each part."""
+    rules, began = Rules(), time.monotonic()
 
     def now(text: str) -> None:
-        say(f"{time.monotonic() - began:.0f} s: {text}")
+        report(f"{time.monotonic() - began:.0f} s: {text}")
 
     missed: list[dict[str, Any]] = []
     with workers(processes) as results:
         for kind in KINDS:
             now(f"wrong fixes, {kind}")
-            missed += _missed(kind, size, rules, results)
+            missed += _missed(kind, size, results)
         now("right fixes")
-        alarms = _alarms(size, rules, results)
+        alarms = _alarms(size, results)
         now("faults")
-        faults = _faults(size, rules, results)
+        faults = _faults(size, results)
         now("levels")
-        levels, hazard = _levels(size, rules, results)
+        levels, hazard = _levels(size, results)
     now("done")
     return {
         "seed": size.seed,
@@ -86,24 +89,22 @@ def run(size: RunSize, processes: int, say: Callable[[str], None]) -> dict[str, 
     }
 
 
-def _missed(kind: Kind, size: RunSize, rules: Rules, results: Results) -> list[dict[str, Any]]:
+def _missed(kind: Kind, size: RunSize, results: Results) -> list[dict[str, Any]]:
     blocks, repeats = size.blocks(kind)
-    few = max(1, repeats // _BESIDE_SHARE)
-    skies = _SKIES_OF_BLOCK[kind]
-    tasks = [
-        Task(missed_block, (kind, scenes, size.seed, block, skies, count, rules))
-        for block in range(blocks)
-        for scenes, count in ((HEADLINE, repeats), (SENSITIVITY_SCENES, few))
+    parts = [
+        (scenes, Block(seed=size.seed, number=number, skies=_SKIES_OF_BLOCK[kind], repeats=count))
+        for number in range(blocks)
+        for scenes, count in (
+            (HEADLINE, repeats),
+            (SENSITIVITY_SCENES, max(1, repeats // _SENSITIVITY_SHARE)),
+        )
     ]
-    totals = {scene: MissedDetections() for scene in (*HEADLINE, *SENSITIVITY_SCENES)}
-    for task, found in zip(tasks, results(tasks), strict=True):
-        for scene, counts in zip(task.arguments[1], found, strict=True):
+    totals = {scene: MissedDetections() for scene in SCENES}
+    tasks = [partial(missed_block, block, kind, scenes) for scenes, block in parts]
+    for (scenes, _), of_block in zip(parts, results(tasks), strict=True):
+        for scene, counts in zip(scenes, of_block, strict=True):
             totals[scene].add(counts)
-    return [{"kind": kind, **_named(scene), **_missed_figures(counts)} for scene, counts in totals.items()]
-
-
-def _named(scene: Scene) -> dict[str, Any]:
-    return {"pose_sigma_m": scene.pose_sigma_m, "map_sigma_m": scene.map_sigma_m}
+    return [{"kind": kind, **asdict(scene), **_missed_figures(counts)} for scene, counts in totals.items()]
 
 
 def _missed_figures(m: MissedDetections) -> dict[str, Any]:
@@ -114,7 +115,7 @@ def _missed_figures(m: MissedDetections) -> dict[str, Any]:
                 "beyond_m": threshold_m,
                 "harmful_episodes": int(m.harmful[t]),
                 "skies": int(m.skies[t]),
-                "controls": {name: _control(m, c, t) for c, name in enumerate(BASELINES)},
+                "controls": {name: _baseline(m, c, t) for c, name in enumerate(BASELINES)},
                 "time_to_alert": _time_to_alert(m.stretch[t]),
             }
             for t, threshold_m in enumerate(THRESHOLDS_M)
@@ -131,7 +132,7 @@ def _missed_figures(m: MissedDetections) -> dict[str, Any]:
     }
 
 
-def _control(m: MissedDetections, c: int, t: int) -> dict[str, Any]:
+def _baseline(m: MissedDetections, c: int, t: int) -> dict[str, Any]:
     """Episodes of one sky are alike: the bound counts Σ misses² / Σ misses of a sky as one."""
     missed, harmful = int(m.missed[c, t]), int(m.harmful[t])
     together = max(float(m.missed_squared[c, t]) / missed, 1.0) if missed else 1.0
@@ -165,52 +166,48 @@ def _time_to_alert(stretch: NDArray[np.int64]) -> dict[str, Any]:
     }
 
 
-def _alarms(size: RunSize, rules: Rules, results: Results) -> list[dict[str, Any]]:
-    scenes = (*HEADLINE, *SENSITIVITY_SCENES)
-    skies = max(1, round(size.trials / 50 / _SKIES_OF_ALARMS))
-    repeats = max(1, round(_DRAWS_OF_TRIAL * size.trials / (skies * _SKIES_OF_ALARMS)))
-    tasks = [
-        Task(alarms_block, (scenes, size.seed, block, _SKIES_OF_ALARMS, repeats, rules))
-        for block in range(skies)
-    ]
-    totals = [{name: WeightedRate() for name in ("false_alarm", "held_back", "all")} for _ in scenes]
-    for found in results(tasks):
-        for total, rates in zip(totals, found, strict=True):
-            for name, rate in rates.items():
-                total[name].add(rate)
-    return [
-        _named(scene) | {name: _weighted(rate) for name, rate in total.items()}
-        for scene, total in zip(scenes, totals, strict=True)
-    ]
+def _alarms(size: RunSize, results: Results) -> list[dict[str, Any]]:
+    blocks = max(1, round(size.trials / 50 / _SKIES_OF_ALARMS))
+    repeats = max(1, round(_DRAWS_OF_TRIAL * size.trials / (blocks * _SKIES_OF_ALARMS)))
+    first = Block(seed=size.seed, number=0, skies=_SKIES_OF_ALARMS, repeats=repeats)
+    tasks = [partial(alarms_block, replace(first, number=n), SCENES) for n in range(blocks)]
+    by_block = list(results(tasks))
+    rows = []
+    for k, scene in enumerate(SCENES):
+        row: dict[str, Any] = asdict(scene)
+        for name in by_block[0][k]:
+            rate = sum_of(block[k][name] for block in by_block)
+            row[name] = {
+                "rate": rate.rate,
+                "upper_95": rate.upper,
+                "effective_events": rate.effective,
+                "draws": rate.draws,
+            }
+        rows.append(row)
+    return rows
 
 
-def _weighted(rate: WeightedRate) -> dict[str, Any]:
-    return {
-        "rate": rate.rate,
-        "upper_95": rate.upper,
-        "effective_events": rate.effective,
-        "draws": rate.draws,
-    }
-
-
-def _faults(size: RunSize, rules: Rules, results: Results) -> dict[str, Any]:
+def _faults(size: RunSize, results: Results) -> dict[str, Any]:
     blocks = max(1, min(20, size.trials // 10_000))
     repeats = max(1, size.trials // (blocks * 400 * 20))
-    tasks = [Task(faults_block, (size.seed, block, 400, repeats, rules)) for block in range(blocks)]
+    tasks = [partial(faults_block, Block(seed=size.seed, number=n, repeats=repeats)) for n in range(blocks)]
     totals: dict[str, FaultCounts] = {}
-    for found in results(tasks):
-        for name, counts in found.items():
+    for of_block in results(tasks):
+        for name, counts in of_block.items():
             totals.setdefault(name, FaultCounts()).add(counts)
     rows = []
     for name, counts in totals.items():
         upper = clopper_pearson(counts.missed, counts.episodes)[1]
         rows.append({"fault": name, **asdict(counts), "missed_upper_95": upper})
-    return {**_named(SCENE), "rows": rows}
+    return {**asdict(SCENE), "rows": rows}
 
 
-def _levels(size: RunSize, rules: Rules, results: Results) -> tuple[dict[str, Any], dict[str, Any]]:
+def _levels(size: RunSize, results: Results) -> tuple[dict[str, Any], dict[str, Any]]:
     """Twelve blocks of 10,000 draws of each mode, fewer of a small run."""
-    blocks, draws = max(1, min(12, size.trials // 8_000)), min(max(size.trials, 1_000), DRAWS)
-    levels = results([Task(coverage_block, (size.seed, block, rules, draws)) for block in range(blocks)])
-    hazard = results([Task(misleading_block, (size.seed, block, rules)) for block in range(blocks)])
+    draws = min(max(size.trials, 1_000), DRAWS)
+    blocks = [
+        Block(seed=size.seed, number=n, repeats=40) for n in range(max(1, min(12, size.trials // 8_000)))
+    ]
+    levels = results([partial(coverage_block, block, draws) for block in blocks])
+    hazard = results([partial(misleading_block, block) for block in blocks])
     return coverage_figures(list(levels)), misleading_figures(list(hazard))

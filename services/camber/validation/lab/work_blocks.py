@@ -10,34 +10,57 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from camber.integrity.rules import Rules
+from camber.simulator.random_streams import stream
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """A function of a module, and what it is called with."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """One block: so many random skies, so many repeats of each, judged by the rules."""
 
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    seed: int
+    number: int
+    skies: int = 400
+    repeats: int = 1
+    rules: Rules = field(default_factory=Rules)
+
+    def stream(self, name: str) -> np.random.Generator:
+        """The block's stream of this name."""
+        return stream(self.seed, f"lab/{name}/{self.number}")
 
 
-Results = Callable[[Sequence[Task]], Iterator[Any]]
+class AddingUp:
+    """Counts of a block, to which those of the next are added."""
+
+    __slots__: ClassVar[tuple[str, ...]] = ()
+
+    def add(self, other: Self) -> None:
+        """Add another block's counts."""
+        for name in self.__slots__:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+
+Results = Callable[[Sequence[Callable[[], Any]]], Iterator[Any]]
 
 
 @contextmanager
 def workers(processes: int) -> Iterator[Results]:
-    """What gives the results of tasks, in their order; with one process it is this one."""
+    """Yields what calls functions (partials of a module's) and returns their results in order."""
     if processes <= 1:
-        yield lambda tasks: map(_done, tasks)
+        yield lambda tasks: map(_result, tasks)
         return
     # Small matrices gain nothing from more threads, and processes are what the cores are for.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        yield lambda tasks: pool.map(_done, tasks)
+        yield lambda tasks: pool.map(_result, tasks)
 
 
-def _done(task: Task) -> Any:
-    return task.function(*task.arguments)
+def _result(task: Callable[[], Any]) -> Any:
+    return task()

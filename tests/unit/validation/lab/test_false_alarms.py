@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from camber.integrity.checks.chi2_test import chi2_limit, distances, upper_triangle
-from camber.integrity.rules import Rules
-from camber.validation.lab.error_model import Scene
+from camber.validation.lab.error_model import HEADLINE
 from camber.validation.lab.false_alarms import WeightedRate, alarms_block, weighted_draws, weighted_rate
+from camber.validation.lab.work_blocks import Block
 
 SEED = 7
 
@@ -52,13 +52,13 @@ def test_weights_are_one_in_the_mean_and_two_at_most() -> None:
 
 
 def test_a_rate_of_nothing_is_bounded_by_the_draws() -> None:
-    assert WeightedRate(0.0, 0.0, 600).upper == pytest.approx(0.01)
-    assert WeightedRate(0.0, 0.0, 600).effective == 0.0
+    assert WeightedRate(draws=600).upper == pytest.approx(0.01)
+    assert WeightedRate(draws=600).effective == 0.0
 
 
 def test_blocks_of_right_fixes_are_the_same_for_the_same_seed_and_differ_for_another() -> None:
-    scenes, rules = (Scene(0.05, 0.05),), Rules()
-    one, again, other = (alarms_block(scenes, seed, 0, 20, 3, rules)[0] for seed in (1, 1, 2))
+    blocks = (Block(seed=seed, number=0, skies=20, repeats=3) for seed in (1, 1, 2))
+    one, again, other = (alarms_block(block, HEADLINE[:1])[0] for block in blocks)
     assert one == again
     assert one != other
     assert one["all"].rate == pytest.approx(1.0, abs=0.5)

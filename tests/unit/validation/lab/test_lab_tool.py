@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import pickle
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from camber.integrity.rules import Rules
 from camber.validation.lab import command as lab
-from camber.validation.lab.error_model import Scene
+from camber.validation.lab.error_model import HEADLINE
 from camber.validation.lab.false_alarms import alarms_block
 from camber.validation.lab.missed_detection import MissedDetections, missed_block
 from camber.validation.lab.page import page
-from camber.validation.lab.work_blocks import Task, workers
+from camber.validation.lab.work_blocks import Block, workers
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +39,13 @@ def test_a_run_leaves_figures_tables_and_charts(folder: Path) -> None:
 
 
 def test_how_many_processes_there_are_changes_no_figure() -> None:
-    scenes = (Scene(0.05, 0.05),)
-    tasks = [Task(missed_block, ("cycles", scenes, 3, block, 4, 1, Rules())) for block in range(3)]
-    tasks += [Task(alarms_block, (scenes, 3, 0, 20, 2, Rules()))]
-    with workers(1) as alone, workers(2) as beside:
-        one, two = list(alone(tasks)), list(beside(tasks))
+    scenes, blocks = HEADLINE[:1], [Block(seed=3, number=number, skies=4) for number in range(3)]
+    tasks = [
+        *(partial(missed_block, block, "cycles", scenes) for block in blocks),
+        partial(alarms_block, Block(seed=3, number=0, skies=20, repeats=2), scenes),
+    ]
+    with workers(1) as alone, workers(2) as shared:
+        one, two = list(alone(tasks)), list(shared(tasks))
     assert pickle.dumps(one[3]) == pickle.dumps(two[3])
     for by_one, by_two in zip(one[:3], two[:3], strict=True):
         for name in MissedDetections.__slots__:
@@ -53,14 +55,14 @@ def test_how_many_processes_there_are_changes_no_figure() -> None:
 
 def test_the_page_comes_from_the_figures_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert lab.main(["--page", str(folder / "lab.json")]) == 0
-    said = capsys.readouterr().out
-    assert said == (folder / "lab.md").read_text("utf-8")
-    assert "camber lab --seed 3 --trials 60" in said
-    for word in ("always no", "hazardously misleading", "false_alarm_rate", "effective events"):
-        assert word in said
+    printed = capsys.readouterr().out
+    assert printed == (folder / "lab.md").read_text("utf-8")
+    assert "camber lab --seed 3 --trials 60" in printed
+    for text in ("always no", "hazardously misleading", "false_alarm_rate", "effective events"):
+        assert text in printed
 
 
-def test_a_figure_that_is_missed_is_said_to_be_missed(folder: Path) -> None:
+def test_a_requirement_that_is_not_met_is_marked(folder: Path) -> None:
     figures = json.loads((folder / "lab.json").read_text("utf-8"))
     figures["hazard"]["upper_95"] = 2e-7
     figures["alarms"][0]["false_alarm"]["upper_95"] = 0.9e-5
@@ -76,10 +78,10 @@ def test_a_file_that_is_no_run_of_the_lab_is_one_line(
     path = tmp_path / "lab.json"
     path.write_text(content, "utf-8")
     assert lab.main(["--page", str(path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"camber lab: {path}")
-    assert said.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"camber lab: {path}")
+    assert printed.err.count("\n") == 1
 
 
 def test_no_trials_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
