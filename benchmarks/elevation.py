@@ -21,7 +21,8 @@ from figure import Figure, higher, lower, per_call_us
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import ElevationMap, SelectedRoads
+from camber.map_server.elevation import ElevationMap
+from camber.map_server.road_selection import SelectedRoads
 from camber.road_map.release import read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.surface_heights import SurfaceHeights

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server import road_selection as codes
 from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
-from camber.map_server.road_selection import RoadArrays, empty_roads, select_roads, topologies
+from camber.map_server.road_selection import (
+    PointColumns,
+    SelectedRoads,
+    empty_roads,
+    select_roads,
+    topologies,
+)
 from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
 from camber.map_server.topology import Topology, select_surface
@@ -33,9 +38,6 @@ _BLOCK = 1 << 17  # chosen: points sorted by tile at a time, within the processo
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-_Points: TypeAlias = tuple[Floats, Floats, Integers, Integers]
-"""Columns of latitude, longitude, candidate links and last surface."""
-
 _PLANES = ("surface_id", "elevation_m", "sigma_m", "slope_east", "slope_north")
 """Columns that roads, a patch and places ahead have in common."""
 REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
@@ -56,32 +58,6 @@ class _Links:
         for link, nodes in self.nodes.items():
             for node in nodes:
                 self.at_node.setdefault(node, set()).add(link)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SelectedRoads:
-    """Roads under n points: columns (k,) of the known ones, whose points are `known`, ascending.
-
-    `reason` (n,): why a road is unknown, index into REASONS, 0 if known. `elsewhere` (n,): there are surfaces, but only
-    on levels without candidate links.
-    """
-
-    reason: NDArray[np.uint8]
-    elsewhere: NDArray[np.bool_]
-    known: NDArray[np.int64]
-    surface_id: NDArray[np.int64]
-    level: NDArray[np.int64]
-    elevation_m: NDArray[np.float64]
-    sigma_m: NDArray[np.float64]
-    slope_east: NDArray[np.float64]
-    slope_north: NDArray[np.float64]
-    extent_m: NDArray[np.float64]
-
-    @property
-    def ambiguous(self) -> NDArray[np.bool_]:
-        """Points (n,) with surfaces of which none could be selected."""
-        ambiguous: NDArray[np.bool_] = self.reason == codes.LEVELS_AMBIGUOUS
-        return ambiguous
 
 
 class ElevationMap:
@@ -180,19 +156,12 @@ class ElevationMap:
     def _nearest_plane(self, patch: RoadPatch, roads: SelectedRoads) -> Road:
         """Extrapolate the nearest plane of a patch to a point next to the road."""
         k = int(np.argmin(np.hypot(patch.east_m, patch.north_m)))
-        slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
-        rise_m = slope_east * float(patch.east_m[k]) + slope_north * float(patch.north_m[k])
+        plane = {name: getattr(patch, name)[k].item() for name in _PLANES}
+        rise_m = plane["slope_east"] * patch.east_m[k].item() + plane["slope_north"] * patch.north_m[k].item()
+        plane["elevation_m"] -= rise_m
+        level = int(roads.level[k])
         return Road(
-            status="known",
-            surface_id=int(patch.surface_id[k]),
-            level=int(roads.level[k]),
-            elevation_m=float(patch.elevation_m[k]) - rise_m,
-            sigma_m=float(patch.sigma_m[k]),
-            slope_east=slope_east,
-            slope_north=slope_north,
-            extent_m=0.0,
-            datum=self.datum,
-            map_version=self.map_version,
+            status="known", level=level, extent_m=0.0, datum=self.datum, map_version=self.map_version, **plane
         )
 
     def roads_ahead(
@@ -226,7 +195,7 @@ class ElevationMap:
         latitude, longitude = _columns(latitude_rad, longitude_rad)
         links = np.array([*link_ids], np.int64)
         last = np.full(len(latitude), -1 if last_surface_id is None else last_surface_id)
-        return self._roads(latitude, longitude, np.tile(links, (len(latitude), 1)), last)
+        return self._roads(PointColumns(latitude, longitude, np.tile(links, (len(latitude), 1)), last))
 
     def roads_each(
         self,
@@ -243,16 +212,12 @@ class ElevationMap:
             raise ValueError(
                 f"link_ids, last_surface_id: expected ({count}, c), ({count},), got {links.shape}, {last.shape}"
             )
-        return self._roads(latitude, longitude, links, last)
+        return self._roads(PointColumns(latitude, longitude, links, last))
 
-    def _roads(
-        self, latitude_rad: Floats, longitude_rad: Floats, links: Integers, last: Integers
-    ) -> SelectedRoads:
+    def _roads(self, points: PointColumns) -> SelectedRoads:
         """Select by candidate links alone, and by topology where these do not decide."""
-        number = tile_numbers(latitude_rad, longitude_rad)
-        roads = empty_roads(len(number))
-        points = latitude_rad, longitude_rad, links, last
-        sorted_roads = empty_roads(min(_BLOCK, len(number)))
+        number = tile_numbers(points.latitude_rad, points.longitude_rad)
+        roads, sorted_roads = empty_roads(len(number)), empty_roads(min(_BLOCK, len(number)))
         for begin in range(0, len(number), _BLOCK):
             tiles, rows, start, gone_to = sort_by_tile(number[begin : begin + _BLOCK])
             rows += begin
@@ -265,56 +230,33 @@ class ElevationMap:
                     )
                 else:
                     select_roads_by_links(
-                        table=index.table,
-                        points=rows[first:end],
-                        latitude_rad=latitude_rad,
-                        longitude_rad=longitude_rad,
-                        links=links,
-                        last=last,
-                        roads=sorted_roads,
-                        begin=first,
+                        index.table, points, rows[first:end], roads=sorted_roads, begin=first
                     )
             restore_order(gone_to, sorted_roads, roads, begin)
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
             self._by_topology(undecided, number, points, roads)
-        known = np.flatnonzero(roads.reason == codes.KNOWN)
-        all_known = len(known) == len(number)
-        columns = {
-            name: column if all_known else column[known]
-            for name, column in roads._asdict().items()
-            if name not in ("reason", "elsewhere")
-        }
-        return SelectedRoads(reason=roads.reason, elsewhere=roads.elsewhere, known=known, **columns)
+        return roads.of_known()
 
-    def _by_topology(self, rows: Integers, number: Integers, points: _Points, roads: RoadArrays) -> None:
+    def _by_topology(
+        self, rows: Integers, number: Integers, points: PointColumns, roads: SelectedRoads
+    ) -> None:
         """Select undecided points by topology, determined once for each tile, last surface and set of links."""
-        latitude_rad, longitude_rad, links, last = points
-        keys = np.column_stack((number[rows], last[rows], links[rows]))
+        keys = np.column_stack((number[rows], points.last[rows], points.links[rows]))
         group, first = group_rows(keys)
-        known = topologies(
-            [
-                self._topology(
-                    divmod(tile, TILES),
-                    frozenset(link for link in of_group if link >= 0),
-                    None if surface < 0 else surface,
-                )
-                for tile, surface, *of_group in keys[first].tolist()
-            ]
-        )
+        known = []
+        for tile, surface, *links in keys[first].tolist():
+            candidates = frozenset(link for link in links if link >= 0)
+            known.append(self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface))
+        table_of_topologies = topologies(known)
         by_tile = np.argsort(keys[:, 0], kind="stable")
         tiles, start = np.unique(keys[by_tile, 0], return_index=True)
         for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
             index = self._index(tile)
             assert index is not None, "a tile without surfaces is decided"
+            of = group[members]
             select_roads(
-                table=index.table,
-                points=rows[members],
-                latitude_rad=latitude_rad,
-                longitude_rad=longitude_rad,
-                topology=group[members],
-                known=known,
-                roads=roads,
+                index.table, points, rows[members], topology=of, known=table_of_topologies, roads=roads
             )
 
     def _index(self, tile: int) -> TileIndex | None:

@@ -14,6 +14,12 @@ from camber.schemas.codec import encode
 from camber.schemas.road import LinksReply, LinksRequest, LinkTile
 
 MAX_REPLY_BYTES = 256_000  # docs/conventions.md, delivery
+_COLUMNS: dict[str, Any] = {
+    **dict.fromkeys(("link_id", "start_node", "end_node"), np.int64),
+    "level": np.int32,
+    "sigma_m": np.float64,
+}
+"""Columns of links and their types in a reply."""
 
 
 def links_around(
@@ -27,20 +33,16 @@ def links_around(
     parts = [_near(tile, request) for tile in tiles]
     if not parts:
         return unknown_links("no links of the map are near", map_version=map_version, time_ns=time_ns)
-    columns = [np.concatenate(column) for column in zip(*(part for part, _ in parts), strict=True)]
+    columns: dict[str, Any] = {name: np.concatenate([part[name] for part, _ in parts]) for name in _COLUMNS}
     lines = [line for _, tile_lines in parts for line in tile_lines]
-    _, first = np.unique(columns[0], return_index=True)
+    _, first = np.unique(columns["link_id"], return_index=True)
     chosen = [lines[i] for i in first.tolist()]
     points = np.concatenate([*chosen, np.zeros((0, 2))])
     reply = LinksReply(
         time_ns=time_ns,
         status="known",
         map_version=map_version,
-        link_id=columns[0][first],
-        start_node=columns[1][first],
-        end_node=columns[2][first],
-        level=columns[3][first].astype(np.int32),
-        sigma_m=columns[4][first].astype(np.float64),
+        **{name: column[first] for name, column in columns.items()},
         first_vertex=np.cumsum([0, *(len(line) for line in chosen)]).astype(np.int32),
         latitude_rad=points[:, 0].copy(),
         longitude_rad=points[:, 1].copy(),
@@ -54,24 +56,19 @@ def links_around(
 
 def unknown_links(reason: str, *, map_version: int, time_ns: int) -> LinksReply:
     """Return a reply with the reason why the links are unknown."""
-    none, integers = np.zeros(0), np.zeros(0, np.int64)
     return LinksReply(
         time_ns=time_ns,
         status="unknown",
         reason=reason,
         map_version=map_version,
-        link_id=integers,
-        start_node=integers,
-        end_node=integers,
-        level=integers.astype(np.int32),
-        sigma_m=none,
         first_vertex=np.zeros(1, np.int32),
-        latitude_rad=none,
-        longitude_rad=none,
+        latitude_rad=np.zeros(0),
+        longitude_rad=np.zeros(0),
+        **{name: np.zeros(0, dtype) for name, dtype in _COLUMNS.items()},
     )
 
 
-def _near(tile: LinkTile, request: LinksRequest) -> tuple[list[NDArray[Any]], list[NDArray[np.float64]]]:
+def _near(tile: LinkTile, request: LinksRequest) -> tuple[dict[str, NDArray[Any]], list[NDArray[np.float64]]]:
     """Return columns and lines (k, 2; latitude, longitude) of a tile's links within the radius."""
     frame = tile_frame(tile.x, tile.y)
     at = np.array(frame.east_north_from_geodetic(request.latitude_rad, request.longitude_rad, 0.0))
@@ -81,8 +78,8 @@ def _near(tile: LinkTile, request: LinksRequest) -> tuple[list[NDArray[Any]], li
     latitude, longitude, _ = frame.geodetic_from_east_north_array(points_m[np.repeat(kept, count)], 0.0)
     geodetic = np.column_stack((latitude, np.clip(longitude, -math.pi, math.pi)))
     lines = np.split(geodetic, np.cumsum(count[kept])[:-1]) if kept.any() else []
-    columns = (tile.link_id, tile.start_node, tile.end_node, tile.level, tile.sigma_m)
-    return [column[kept] for column in columns], lines
+    columns = {name: getattr(tile, name)[kept].astype(dtype) for name, dtype in _COLUMNS.items()}
+    return columns, lines
 
 
 def _distances_m(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +30,25 @@ class Topologies(NamedTuple):
     bounds: Integers
 
 
-class RoadArrays(NamedTuple):
-    """The roads under n points as columns (n,); only the first two are valid if `reason` is not KNOWN.
+class PointColumns(NamedTuple):
+    """Points (n,) with their candidate links (n, c) and last surfaces (n,); −1 means none."""
 
-    `elsewhere`: all surfaces there are on levels without candidates: by topology the vehicle is not there.
+    latitude_rad: Floats
+    longitude_rad: Floats
+    links: Integers
+    last: Integers
+
+
+class SelectedRoads(NamedTuple):
+    """Roads under n points, as columns (k,) of the known ones, whose points are `known`, ascending.
+
+    `reason` (n,): why a road is unknown, one of the codes above. `elsewhere` (n,): all surfaces there are on levels
+    without candidate links: by topology the vehicle is not there. During the selection all columns are (n,).
     """
 
     reason: NDArray[np.uint8]
     elsewhere: NDArray[np.bool_]
+    known: Integers
     surface_id: Integers
     level: Integers
     elevation_m: Floats
@@ -46,20 +57,28 @@ class RoadArrays(NamedTuple):
     slope_north: Floats
     extent_m: Floats
 
+    @property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """Points (n,) with surfaces of which none could be selected."""
+        ambiguous: NDArray[np.bool_] = self.reason == LEVELS_AMBIGUOUS
+        return ambiguous
 
-def empty_roads(count: int) -> RoadArrays:
+    def of_known(self) -> SelectedRoads:
+        """Return the roads with the columns of the known ones."""
+        known = np.flatnonzero(self.reason == KNOWN)
+        columns = self[3:] if len(known) == len(self.reason) else (column[known] for column in self[3:])
+        return SelectedRoads(self.reason, self.elsewhere, known, *columns)
+
+
+def empty_roads(count: int) -> SelectedRoads:
     """Return arrays for n points, each with the reason NO_SURFACE."""
-    return RoadArrays(
-        reason=np.full(count, NO_SURFACE, np.uint8),
-        elsewhere=np.zeros(count, np.bool_),
-        surface_id=np.empty(count, np.int64),
-        level=np.empty(count, np.int64),
-        elevation_m=np.empty(count),
-        sigma_m=np.empty(count),
-        slope_east=np.empty(count),
-        slope_north=np.empty(count),
-        extent_m=np.empty(count),
-    )
+    integers = ("surface_id", "level")
+    columns: dict[str, Any] = {
+        name: np.empty(count, np.int64 if name in integers else np.float64)
+        for name in SelectedRoads._fields[3:]
+    }
+    reason, elsewhere = np.full(count, NO_SURFACE, np.uint8), np.zeros(count, np.bool_)
+    return SelectedRoads(reason=reason, elsewhere=elsewhere, known=np.empty(0, np.int64), **columns)
 
 
 def topologies(each: Sequence[Topology]) -> Topologies:
@@ -76,17 +95,14 @@ def topologies(each: Sequence[Topology]) -> Topologies:
 @compiled
 def select_roads(
     table: SurfaceTable,
+    columns: PointColumns,
     points: Integers,
-    latitude_rad: Floats,
-    longitude_rad: Floats,
     topology: Integers,
     known: Topologies,
-    roads: RoadArrays,
+    roads: SelectedRoads,
 ) -> None:
-    """Fill the rows `points` (k,) of `roads`, all of them points of the table's tile, each by its topology (k,).
-
-    Positions are columns (n,), as those of `roads`.
-    """
+    """Fill the rows `points` (k,) of `roads`, all of them points of the table's tile, each by its topology (k,)."""
+    latitude_rad, longitude_rad = columns.latitude_rad, columns.longitude_rad
     # Surfaces at a point: rows, coordinates of the point on them, and whether they are still candidates.
     row, at = np.empty(table.most_in_cell, np.int64), np.empty((table.most_in_cell, 2))
     inside, left = np.empty(table.most_in_cell, np.bool_), np.empty(table.most_in_cell, np.bool_)

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
-from camber.map_server.road_selection import KNOWN, LEVELS_AMBIGUOUS, NO_SURFACE, UNDECIDED, RoadArrays
+from camber.map_server.road_selection import (
+    KNOWN,
+    LEVELS_AMBIGUOUS,
+    NO_SURFACE,
+    UNDECIDED,
+    PointColumns,
+    SelectedRoads,
+)
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.map_server.topology import TIE_M
 from camber.road_map.surface_heights import grid_plane
@@ -25,19 +32,10 @@ Integers = NDArray[np.int64]
 
 @compiled
 def select_roads_by_links(
-    table: SurfaceTable,
-    points: Integers,
-    latitude_rad: Floats,
-    longitude_rad: Floats,
-    links: Integers,
-    last: Integers,
-    roads: RoadArrays,
-    begin: int,
+    table: SurfaceTable, columns: PointColumns, points: Integers, roads: SelectedRoads, begin: int
 ) -> None:
-    """Fill `roads` from row `begin` on with the roads under `points` (k,), all of them in the table's tile.
-
-    Positions, candidate links (n, c) and last surface (n,) are columns; −1 means none.
-    """
+    """Fill `roads` from row `begin` on with the roads under `points` (k,), all of them in the table's tile."""
+    latitude_rad, longitude_rad, links, last = columns
     # One function that passes no arrays on: numba's reference counting would take most of the time.
     series, origin, shape, grid, names = table.series, table.origin, table.shape, table.grid, table.names
     cell_start, cell_rows, heights_m = table.cell_start, table.cell_rows, table.heights_m
@@ -125,7 +123,7 @@ def select_roads_by_links(
 
 
 @compiled
-def restore_order(gone_to: Integers, sorted_roads: RoadArrays, roads: RoadArrays, begin: int) -> None:
+def restore_order(gone_to: Integers, sorted_roads: SelectedRoads, roads: SelectedRoads, begin: int) -> None:
     """Fill `roads` from row `begin` on with the rows `gone_to` (k,) of `sorted_roads`."""
     for i in range(len(gone_to)):
         of, to = gone_to[i], begin + i

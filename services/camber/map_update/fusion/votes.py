@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES
+from camber.road_map.surface_heights import SurfaceHeights
 
 Votes = NDArray[np.void]
 Floats = NDArray[np.float64]
@@ -71,18 +71,6 @@ _LARGEST_HORIZONTAL_SIGMA_M = 0.5
 _LEAST_SECRET_BYTES = 16
 
 
-class ReferenceHeights(Protocol):
-    """Heights of the reference release, as `camber.road_map.surface_heights.SurfaceHeights` provides them."""
-
-    def rows_of(self, surface_id: Integers, /) -> Integers:
-        """Return the rows (n,) of surfaces by id (n,), −1 for unknown ids."""
-
-    def heights_m(
-        self, row: Integers, latitude_rad: Floats, longitude_rad: Floats, /
-    ) -> tuple[Floats, Floats]:
-        """Return the surface height (n,) at each point and the distance (n,) of the point from its rectangle."""
-
-
 def voter_of(vehicle: str, secret: bytes) -> int:
     """Return the pseudonym of a vehicle: 63 bits of keyed BLAKE2b (RFC 7693) of its name.
 
@@ -101,7 +89,7 @@ def session_of(time_ns: Integers, longitude_rad: Floats) -> Integers:
 
 
 def votes_from(
-    observations: NDArray[np.void], voter: Integers | int, *, reference: ReferenceHeights, secret: bytes
+    observations: NDArray[np.void], voter: Integers | int, *, reference: SurfaceHeights, secret: bytes
 ) -> Votes:
     """Return the votes, sorted by key, of observations (n,) of OBSERVATION; `voter` is (n,) or one for all.
 

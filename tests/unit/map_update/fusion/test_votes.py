@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -18,20 +20,22 @@ from camber.map_update.fusion.votes import (
     voter_of,
     votes_from,
 )
+from camber.road_map.surface_heights import SurfaceHeights
 
 SECRET = b"sixteen bytes at least"
 BEGIN_NS = 1_000_000 * NS_PER_DAY // 1000
 
 
-class Flat:
+class Flat(SurfaceHeights):
     """A reference of fifty surfaces, each 100 m high and flat; a latitude is how far outside a place is."""
 
-    def rows_of(self, surface_id: NDArray[np.int64], /) -> NDArray[np.int64]:
+    def __init__(self) -> None:
+        """Has no surfaces to read."""
+
+    def rows_of(self, surface_id: Any) -> NDArray[np.int64]:
         return np.where(surface_id < 50, surface_id, -1)
 
-    def heights_m(
-        self, row: NDArray[np.int64], latitude_rad: NDArray[np.float64], longitude_rad: NDArray[np.float64], /
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def heights_m(self, row: Any, latitude_rad: Any, longitude_rad: Any) -> tuple[Any, Any]:
         return np.full(len(row), 100.0), latitude_rad
 
 
