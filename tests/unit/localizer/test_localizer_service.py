@@ -352,8 +352,7 @@ def test_no_other_verdict_ever_anchors(word: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"latitude_rad": None}, {"longitude_rad": None}, {"covariance_enu_m2": None}],
+    "changed", [{"latitude_rad": None}, {"longitude_rad": None}, {"covariance_enu_m2": None}]
 )
 def test_a_confirmation_without_a_whole_position_anchors_nothing(changed: dict[str, Any]) -> None:
     drive = Drive(initial_pose=GIVEN)

@@ -34,13 +34,7 @@ class TileFetch:
     """The download of one tile. Memory: the parts so far, then the tile; none after a failure."""
 
     def __init__(
-        self,
-        layer: CloudLayer,
-        x: int,
-        y: int,
-        *,
-        have_sha256: str | None = None,
-        parts_per_step: int = 4,
+        self, layer: CloudLayer, x: int, y: int, *, have_sha256: str | None = None, parts_per_step: int = 4
     ) -> None:
         self.layer, self.x, self.y = layer, x, y
         self.state: FetchState = "loading"

@@ -140,7 +140,4 @@ def _fit_sweep_to_road(sweep_m: Floats, guess: Floats, block: MapBlock) -> RoadF
 def _slopes(road: RoadElevation, yaw_rad: float) -> tuple[float, float]:
     """Return the road's slopes forward and to the left of a heading."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return (
-        road.slope_east * cos + road.slope_north * sin,
-        -road.slope_east * sin + road.slope_north * cos,
-    )
+    return (road.slope_east * cos + road.slope_north * sin, -road.slope_east * sin + road.slope_north * cos)

@@ -81,12 +81,7 @@ class LocalMap:
         self._placed.clear()
 
     def add(
-        self,
-        sweep: PreparedSweep,
-        at: TrackPoint,
-        attitude: Tilt | None = None,
-        *,
-        road_tilt: Tilt = LEVEL,
+        self, sweep: PreparedSweep, at: TrackPoint, attitude: Tilt | None = None, *, road_tilt: Tilt = LEVEL
     ) -> None:
         """Add a usable sweep, the track's point at its end, and roll and pitch against gravity where known.
 
@@ -152,11 +147,7 @@ def _step(last: _PlacedSweep, at: TrackPoint, grade_rad: float) -> Floats:
     ahead = east * math.cos(yaw) + north * math.sin(yaw)
     shortened = ahead * (math.cos(mean_grade) - 1.0)
     return np.array(
-        [
-            east + shortened * math.cos(yaw),
-            north + shortened * math.sin(yaw),
-            -ahead * math.sin(mean_grade),
-        ]
+        [east + shortened * math.cos(yaw), north + shortened * math.sin(yaw), -ahead * math.sin(mean_grade)]
     )
 
 

@@ -83,11 +83,7 @@ class GroundPlane:
 
 
 def road_line(
-    road_m: Floats,
-    *,
-    reach_m: float = REACH_M,
-    half_width_m: float = 2.0,
-    search_m: float = 1.5,
+    road_m: Floats, *, reach_m: float = REACH_M, half_width_m: float = 2.0, search_m: float = 1.5
 ) -> RoadLine | None:
     """From road points of the map in the local frame (n, 3), x forward and z up, z about zero on the road.
 

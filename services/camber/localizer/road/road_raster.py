@@ -559,13 +559,7 @@ def _reached_from(
 
 @compiled_without_gil
 def _blended(
-    east_m: float,
-    north_m: float,
-    corner_m: Floats,
-    planes: Floats,
-    slots: Integers,
-    first: int,
-    out: Floats,
+    east_m: float, north_m: float, corner_m: Floats, planes: Floats, slots: Integers, first: int, out: Floats
 ) -> None:
     """Into `out`: height, slopes, sigma and distance at a place, of the planes about it that go with plane `first`."""
     near = _height(planes, first, east_m, north_m)

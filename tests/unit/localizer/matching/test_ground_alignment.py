@@ -48,12 +48,7 @@ BLOCK = MapBlock(
     missing=(),
 )
 TRUTH = map_from_vehicle(
-    0.0,
-    0.0,
-    0.0,
-    math.atan(CROSSFALL * math.cos(math.atan(GRADE))),
-    -math.atan(GRADE) - NOSE_UP_RAD,
-    0.0,
+    0.0, 0.0, 0.0, math.atan(CROSSFALL * math.cos(math.atan(GRADE))), -math.atan(GRADE) - NOSE_UP_RAD, 0.0
 )
 SEEN = transform_points(np.linalg.inv(TRUTH), road(0.4, 2))
 SEEN = SEEN[np.hypot(SEEN[:, 0], SEEN[:, 1]) > 3.0]

@@ -10,12 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camber.localizer.matching.icp import moved
-from camber.localizer.matching.layered_matching import (
-    LayeredMatch,
-    MatchInput,
-    MatchOptions,
-    match_layers,
-)
+from camber.localizer.matching.layered_matching import LayeredMatch, MatchInput, MatchOptions, match_layers
 from camber.localizer.matching.match_covariance import UNSEEN_M
 from camber.localizer.matching.registration import LayerTarget, Method
 from support.plain_layers import (

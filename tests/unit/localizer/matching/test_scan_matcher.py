@@ -170,8 +170,7 @@ def test_fixes_change_no_bit_of_a_given_pose_whatever_they_say() -> None:
         drive = StreetDrive()
         drive.run(10)
         drive.run(
-            20,
-            fixes=(lambda d, r=random: d.fix(r.uniform(-50, 50), r.uniform(-50, 50))) if wild else None,
+            20, fixes=(lambda d, r=random: d.fix(r.uniform(-50, 50), r.uniform(-50, 50))) if wild else None
         )
         runs.append([encode(message) for message in (*drive.poses, *drive.matches)])
     assert runs[0] == runs[1]
