@@ -15,7 +15,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.antenna_height.settings import AntennaHeightSettings, Place
+from camber.antenna_height.settings import AntennaHeightSettings, BodyPoint
 from camber.localizer.localization import Localization
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import read_release
@@ -75,8 +75,8 @@ class AntennaDrive:
 def settings_of(body: VehicleBody = CAR, **more: object) -> AntennaHeightSettings:
     """All that was measured of the vehicle."""
 
-    def place(point: tuple[float, float, float]) -> Place:
-        return Place(x_m=point[0], y_m=point[1], z_m=point[2])
+    def place(point: tuple[float, float, float]) -> BodyPoint:
+        return BodyPoint(x_m=point[0], y_m=point[1], z_m=point[2])
 
     known: dict[str, object] = {
         "fixed_height_m": body.antenna[2],

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from camber.antenna_height.estimator import Antenna
+from camber.antenna_height.estimator import AntennaHeightEstimator
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.formats.drive.recording import load_recording
 from camber.formats.drive.truth_csv import TruthTable, read_truth
@@ -61,21 +61,15 @@ def run(drive: AntennaDrive, settings: AntennaHeightSettings) -> list[AntennaHei
 
 def run_over(messages: Sequence[tuple[str, Message]], settings: AntennaHeightSettings) -> list[AntennaHeight]:
     """What antenna_height says, ten times a second, of (channel, message) in the order of their times."""
-    antenna = Antenna(settings.options())
-    hear: dict[str, Callable[..., None]] = {
-        "motion": antenna.hear_motion,
-        "suspension": antenna.hear_suspension,
-        "ranging": antenna.hear_ranging,
-        "pose": antenna.hear_pose,
-        "scan_match": antenna.hear_match,
-    }
+    antenna = AntennaHeightEstimator(settings.options())
+    handlers = antenna.handlers()
     said = []
     due_ns = messages[0][1].time_ns + _EVERY_NS
     for name, message in messages:
         while message.time_ns > due_ns:
             said.append(antenna.height(due_ns).height)
             due_ns += _EVERY_NS
-        hear[name](message)
+        handlers[name](message)
     return said
 
 

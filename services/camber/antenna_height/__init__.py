@@ -1,1 +1,1 @@
-"""How high the antenna stands above the road: H (1) to (7)."""
+"""Antenna height above the road, JP7707657B2 eq. (1) to (7): four methods, compared with one another."""

@@ -1,4 +1,4 @@
-"""Is the road flat? H takes ranging there, and scan matching where it is not."""
+"""Whether the road is flat: then the automatic choice of JP7707657B2 is ranging, and scan matching otherwise."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 
 from camber.antenna_height.body_attitude import Slopes
 
-_NS = 1_000_000_000
-_WINDOW_M = 5.0
-_LONGEST_STEP_S = 1.0
+_WINDOW_M = 5.0  # chosen: some lengths from the antenna to where the beam meets the road
+_LONGEST_STEP_S = 1.0  # chosen: after a longer gap in the poses the road between is not known
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FlatRules:
-    """Not flat from `*_leave` on, flat again below `*_return`, and no sooner than `dwell_s` after the last change.
+    """Not flat above `*_leave`, flat again below `*_return`, and no sooner than `dwell_s` after the last change.
 
-    `slope`: steepest slope of the road. `uneven`: how far the road may lie off its plane [m] where the beam meets it.
+    `slope`: steepest slope of the road. `uneven`: distance of the road from its plane [m] where the beam meets it.
     """
 
     slope_leave: float = 0.05
@@ -26,12 +25,12 @@ class FlatRules:
     dwell_s: float = 2.0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Flatness:
-    """Follows the road under the vehicle. `flat`: None before anything is known.
+    """The state of the road below the vehicle. `flat`: None before the road is known.
 
-    Unevenness is how much the road's slope along the way has changed within the last five metres, times
-    `reach_m`, the level distance from where the beam meets the road to the antenna.
+    Unevenness is the change of the road's slope ahead within the last five metres, times `reach_m`, the level distance
+    from where the beam meets the road to the antenna.
     """
 
     rules: FlatRules
@@ -43,9 +42,9 @@ class Flatness:
     _driven_m: float = 0.0
     _passed: deque[tuple[float, float]] = field(default_factory=deque)
 
-    def hear(self, time_ns: int, road: Slopes | None, speed_m_s: float | None) -> None:
-        """The road of one pose; None: not known, then the last word stands."""
-        step_s, self._time_ns = (time_ns - self._time_ns) / _NS, time_ns
+    def update(self, time_ns: int, road: Slopes | None, speed_m_s: float | None) -> None:
+        """Add the road of one pose; None: not known, the last state stays."""
+        step_s, self._time_ns = (time_ns - self._time_ns) / 1e9, time_ns
         if not 0.0 <= step_s <= _LONGEST_STEP_S or road is None:
             self._passed.clear()
         if road is None:
@@ -55,19 +54,17 @@ class Flatness:
         while self._driven_m - self._passed[0][0] > _WINDOW_M:
             self._passed.popleft()
         slopes = [slope for _, slope in self._passed]
-        self._judge(time_ns, road.steepness, (max(slopes) - min(slopes)) * self.reach_m)
+        self._classify(time_ns, road.steepness, (max(slopes) - min(slopes)) * self.reach_m)
 
-    def _judge(self, time_ns: int, steepness: float, uneven_m: float) -> None:
+    def _classify(self, time_ns: int, steepness: float, uneven_m: float) -> None:
         rules = self.rules
-        if self.flat is not False:
-            flat = steepness <= rules.slope_leave and uneven_m <= rules.uneven_leave_m
-        else:
-            flat = steepness <= rules.slope_return and uneven_m <= rules.uneven_return_m
-        if flat == self.flat:
+        slope, limit_m = rules.slope_leave, rules.uneven_leave_m
+        if self.flat is False:
+            slope, limit_m = rules.slope_return, rules.uneven_return_m
+        flat = steepness <= slope and uneven_m <= limit_m
+        dwells = 0 <= time_ns - self._changed_ns < rules.dwell_s * 1e9
+        if flat == self.flat or (self.flat is not None and dwells):
             return
-        waited = not 0 <= time_ns - self._changed_ns < rules.dwell_s * _NS
-        if self.flat is None or waited:
-            self.flat, self._changed_ns = flat, time_ns
-            self.reason = (
-                f"road {'flat' if flat else 'not flat'}: slope {steepness:.3f}, uneven by {uneven_m:.3f} m"
-            )
+        self.flat, self._changed_ns = flat, time_ns
+        state = "flat" if flat else "not flat"
+        self.reason = f"road {state}: slope {steepness:.3f}, uneven by {uneven_m:.3f} m"

@@ -1,4 +1,4 @@
-"""What was heard last of each sensor, and whether it still counts."""
+"""The newest message of each sensor, while it is not stale."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from typing import Generic, TypeVar
 
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME
+from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.schemas.pose import Pose, ScanMatch
 
 M = TypeVar("M", bound=Message)
-_NS = 1_000_000_000
 
 
 class Newest(Generic[M]):
@@ -17,22 +18,39 @@ class Newest(Generic[M]):
     def __init__(self, channel: str) -> None:
         limit_s = BY_NAME[channel].max_age_s
         assert limit_s is not None
-        self._limit_ns = round(limit_s * _NS)
+        self._limit_ns = round(limit_s * 1e9)
         self._message: M | None = None
 
-    def hear(self, message: M) -> None:
-        """A message has come."""
+    def update(self, message: M) -> None:
+        """Replace the message, unless this one is older. One far in the future came of a clock that was set back."""
         held = self._message
-        # One that is far in the future came of a clock that has been set back since.
         if held is None or not 0 < held.time_ns - message.time_ns <= self._limit_ns:
             self._message = message
 
     def at(self, now_ns: int) -> M | None:
-        """The message, unless it is older, or further ahead, than the table of channels allows."""
+        """Return the message, unless it is older, or further ahead, than the table of channels allows."""
         held = self._message
         return held if held is not None and abs(now_ns - held.time_ns) <= self._limit_ns else None
 
     @property
     def time_ns(self) -> int:
-        """Of the message, whatever its age; zero: none was heard."""
+        """Time of the message, whatever its age; zero without one."""
         return 0 if self._message is None else self._message.time_ns
+
+
+class HeightInputs:
+    """The newest message of each input."""
+
+    def __init__(self) -> None:
+        self.motion: Newest[Motion] = Newest("motion")
+        self.pose: Newest[Pose] = Newest("pose")
+        self.suspension: Newest[Suspension] = Newest("suspension")
+        self.ranging: Newest[Ranging] = Newest("ranging")
+        self.match: Newest[ScanMatch] = Newest("scan_match")
+
+    def speed_m_s(self, now_ns: int) -> float | None:
+        """Return the speed by the wheels, or else by the pose; None: not known."""
+        motion, pose = self.motion.at(now_ns), self.pose.at(now_ns)
+        if motion is not None and motion.wheel_speed_m_s is not None:
+            return motion.wheel_speed_m_s
+        return None if pose is None else pose.speed_m_s

@@ -1,4 +1,4 @@
-"""Which way's height is passed on, and with what words where it is another one than was asked for, or none."""
+"""The method whose height is published, and the reason where it is not the configured one."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ _AUTOMATIC: dict[bool, tuple[HeightMethod, ...]] = {
     True: ("ranging", "scan_matching", "stroke", "fixed"),
     False: ("scan_matching", "ranging", "stroke", "fixed"),
 }
-"""By whether the road is flat (H, embodiment 5), the way that is taken and what stands in for it."""
+"""By whether the road is flat the preferred method and its substitutes (JP7707657B2, third embodiment)."""
 
 
-def chosen_way(
-    asked: HeightMethod | Literal["automatic"], heights: Heights, flatness: Flatness
+def select_method(
+    configured: HeightMethod | Literal["automatic"], heights: Heights, flatness: Flatness
 ) -> tuple[HeightMethod | None, str]:
-    """The way whose height is passed on and, where that is not the one asked for, why. A way that was named is taken,
-    or none: whoever names one has a vehicle for which no other stands in."""
-    if asked != "automatic":
-        return (asked, "") if asked in heights.known else (None, heights.missing[asked])
+    """Return the method whose height is published and, where it is not the preferred one, why.
+
+    A configured method has no substitute: such a vehicle has none.
+    """
+    if configured != "automatic":
+        return (configured, "") if configured in heights.known else (None, heights.missing[configured])
     order = _AUTOMATIC[flatness.flat is not False]
-    first = next((way for way in order if way in heights.known), None)
+    first = next((method for method in order if method in heights.known), None)
     why = flatness.reason or "road not known"
     if first == order[0]:
         return first, "" if flatness.reason else why
@@ -31,25 +33,20 @@ def chosen_way(
     return first, reason if first is None else f"{reason}: {first} instead"
 
 
-def antenna_height(
-    time_ns: int, way: HeightMethod | None, reason: str, heights: Heights, disagreement: str
+def antenna_height_message(
+    time_ns: int, selected: tuple[HeightMethod | None, str], heights: Heights, *, disagreement: str
 ) -> AntennaHeight:
-    """The message. A disagreement is no height, whichever way was chosen."""
-    chosen = None if way is None else heights.known[way]
-    others = tuple(one for one in heights.all() if one is not chosen)
+    """Return the message. A disagreement is no height, whichever method was selected."""
+    method, reason = selected
+    chosen = None if method is None else heights.known[method]
+    others = tuple(height for height in heights.known.values() if height is not chosen)
     if disagreement:
-        everybody = others if chosen is None else (chosen, *others)
+        everything = others if chosen is None else (chosen, *others)
         return AntennaHeight(
-            time_ns=time_ns, status="disagreement", reason=disagreement[:500], others=everybody
+            time_ns=time_ns, status="disagreement", reason=disagreement[:500], others=everything
         )
     if chosen is None:
         return AntennaHeight(time_ns=time_ns, status="unknown", reason=reason[:500], others=others)
     return AntennaHeight(
-        time_ns=time_ns,
-        status="known",
-        reason=reason[:500],
-        way=chosen.way,
-        height_m=chosen.height_m,
-        sigma_m=chosen.sigma_m,
-        others=others,
+        time_ns=time_ns, status="known", reason=reason[:500], others=others, **chosen.model_dump()
     )

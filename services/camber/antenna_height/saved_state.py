@@ -1,47 +1,57 @@
-"""What the differences of ways have been, as text: for the next drive of the same vehicle."""
+"""Differences of the methods as text, for the next drive of the same vehicle."""
 
 from __future__ import annotations
 
+import re
 from hashlib import sha256
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from camber.antenna_height.available_heights import Vehicle
+from camber.antenna_height.available_heights import VehicleGeometry
 from camber.antenna_height.change_detection import Reference
 from camber.antenna_height.method_comparison import References
 from camber.schemas.antenna import HeightMethod
 
+_FIRST_NAMES = {
+    "VehicleGeometry": "Vehicle",
+    "FixedHeight": "FixedWay",
+    "StrokeGeometry": "StrokeWay",
+    "RangingGeometry": "RangingWay",
+}
+"""Names of classes in the fingerprints of saved files: a file stays valid when a class is renamed."""
 
-class _Pair(BaseModel):
+
+class _SavedDifference(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    ways: tuple[HeightMethod, HeightMethod]
+    methods: tuple[HeightMethod, HeightMethod] = Field(alias="ways")
     blocks: float = Field(ge=0.0)
     mean_m: float
     squares_m2: float = Field(ge=0.0)
 
 
-class _Kept(BaseModel):
+class _SavedState(BaseModel):
     model_config = ConfigDict(extra="forbid")
     vehicle: str
-    pairs: tuple[_Pair, ...]
+    pairs: tuple[_SavedDifference, ...]
 
 
-def references_as_text(vehicle: Vehicle, references: References) -> str:
-    """JSON."""
+def references_as_text(vehicle: VehicleGeometry, references: References) -> str:
+    """Return the references as JSON."""
     pairs = tuple(
-        _Pair(ways=ways, blocks=one.count, mean_m=one.mean_m, squares_m2=one.squares_m2)
-        for ways, one in references.items()
+        _SavedDifference(ways=methods, blocks=one.blocks, mean_m=one.mean_m, squares_m2=one.squares_m2)
+        for methods, one in references.items()
     )
-    return _Kept(vehicle=_fingerprint(vehicle), pairs=pairs).model_dump_json(indent=1)
+    return _SavedState(vehicle=_fingerprint(vehicle), pairs=pairs).model_dump_json(indent=1, by_alias=True)
 
 
-def references_from_text(text: str, vehicle: Vehicle) -> References:
-    """Empty where something of the vehicle has been measured anew since. Raises ValueError for damaged text."""
-    kept = _Kept.model_validate_json(text)
-    if kept.vehicle != _fingerprint(vehicle):
+def references_from_text(text: str, vehicle: VehicleGeometry) -> References:
+    """Return the references; none where a dimension of the vehicle has changed. ValueError for damaged text."""
+    saved = _SavedState.model_validate_json(text)
+    if saved.vehicle != _fingerprint(vehicle):
         return {}
-    return {one.ways: Reference(one.blocks, one.mean_m, one.squares_m2) for one in kept.pairs}
+    return {one.methods: Reference(one.blocks, one.mean_m, one.squares_m2) for one in saved.pairs}
 
 
-def _fingerprint(vehicle: Vehicle) -> str:
-    return sha256(repr(vehicle).encode()).hexdigest()
+def _fingerprint(vehicle: VehicleGeometry) -> str:
+    text = re.sub(r"\w+(?=\()", lambda name: _FIRST_NAMES.get(name[0], name[0]), repr(vehicle))
+    return sha256(text.encode()).hexdigest()

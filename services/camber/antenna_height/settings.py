@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from camber.antenna_height.available_heights import FixedWay, RangingWay, StrokeWay, Vehicle
+from camber.antenna_height.available_heights import VehicleGeometry
 from camber.antenna_height.body_attitude import Arm, TiltRules
 from camber.antenna_height.change_detection import ChangeRules
 from camber.antenna_height.estimator import AntennaOptions
 from camber.antenna_height.flatness import FlatRules
+from camber.antenna_height.height_methods import FixedHeight, RangingGeometry, StrokeGeometry
 from camber.antenna_height.method_comparison import ComparisonRules
 from camber.runtime.settings import ServiceSettings
+from camber.schemas.antenna import HeightMethod
 
 
-class Place(BaseModel):
-    """A point of the vehicle at rest. All three must be said: there is no default for what nobody has measured."""
+class BodyPoint(BaseModel):
+    """A point of the vehicle at rest; no coordinate has a default, all must be measured."""
 
     model_config = ConfigDict(extra="forbid")
     x_m: float = Field(ge=-50.0, le=50.0, description="forward of the rear axle's middle")
     y_m: float = Field(ge=-50.0, le=50.0, description="left of it")
     z_m: float = Field(ge=-10.0, le=100.0, description="above the road")
-
-    def arm(self) -> Arm:
-        """As a point of the vehicle frame."""
-        return Arm(self.x_m, self.y_m, self.z_m)
 
 
 class AntennaHeightSettings(ServiceSettings):
@@ -34,49 +33,40 @@ class AntennaHeightSettings(ServiceSettings):
 
     SERVICE: ClassVar[str] = "antenna_height"
 
-    way: Literal["fixed", "stroke", "ranging", "scan_matching", "automatic"] = Field(
-        "fixed", description="the way whose height is passed on; all that the vehicle has are compared"
+    way: HeightMethod | Literal["automatic"] = Field(
+        "fixed", description="method whose height is published; all that the vehicle has are compared"
     )
     fixed_height_m: float | None = Field(
-        None,
-        ge=-1.0,
-        le=100.0,
-        description="measured height of the antenna above the road; None: not measured",
+        None, ge=-1.0, le=100.0, description="measured antenna height above the road; None: not measured"
     )
     fixed_sigma_m: float = Field(
-        0.01,
-        ge=0.0,
-        le=1.0,
-        description="σ of that, by which springs and loads may move the antenna included",
+        0.01, ge=0.0, le=1.0, description="its σ, with the motion by springs and loads"
     )
     suspension_to_antenna_m: float | None = Field(
-        None, ge=-10.0, le=10.0, description="h_ba of H (1), for way stroke; None: not measured"
+        None, ge=-10.0, le=10.0, description="h_ba of JP7707657B2 eq. (1), for way stroke; None: not measured"
     )
     tyre_radius_m: float | None = Field(
-        None, gt=0.0, le=5.0, description="h_t of H (1), for way stroke; None: not measured"
+        None, gt=0.0, le=5.0, description="h_t of JP7707657B2 eq. (1), for way stroke; None: not measured"
     )
-    antenna: Place | None = Field(None, description="table x_m, y_m, z_m: the antenna's reference point")
-    suspension: Place | None = Field(
-        None, description="table: top of the suspension of which the stroke is; None: near the antenna"
+    antenna: BodyPoint | None = Field(None, description="table x_m, y_m, z_m: the antenna's reference point")
+    suspension: BodyPoint | None = Field(
+        None, description="table: top of the suspension that is measured; None: near the antenna"
     )
-    ranging: Place | None = Field(
-        None, description="table: origin of the ranging sensor; None: there is none, the LiDAR stands in"
+    ranging: BodyPoint | None = Field(
+        None, description="table: origin of the ranging sensor; None: absent, the LiDAR replaces it"
     )
-    lidar: Place | None = Field(None, description="table: origin of the surround sensor")
+    lidar: BodyPoint | None = Field(None, description="table: origin of the LiDAR")
     beam_azimuth_deg: float = Field(
-        0.0, ge=-360.0, le=360.0, description="where the ranging beam points, counter-clockwise from forward"
+        0.0, ge=-360.0, le=360.0, description="azimuth of the ranging beam, counter-clockwise from forward"
     )
     beam_sigma_deg: float = Field(
         0.15, ge=0.0, le=10.0, description="σ of the beam's angle below the vehicle's horizontal"
     )
     stored_sigma_m: float = Field(
-        0.01,
-        ge=0.0,
-        le=1.0,
-        description="σ of what was measured of the vehicle, for each way: h_ba, h_t, h_sa",
+        0.01, ge=0.0, le=1.0, description="σ of the vehicle's measured dimensions, by method: h_ba, h_t, h_sa"
     )
     plausible_m: float = Field(
-        0.5, gt=0.0, le=10.0, description="further than this from antenna.z_m no height is believed"
+        0.5, gt=0.0, le=10.0, description="a height that differs more from antenna.z_m is implausible"
     )
     body_pitch_sigma_deg: float = Field(
         0.4, ge=0.0, le=45.0, description="σ of the body's pitch against the road: braking, load"
@@ -97,92 +87,91 @@ class AntennaHeightSettings(ServiceSettings):
         description="σ of the road's slope below the vehicle against the map's, a ratio",
     )
     pose_sigma_limit_m: float = Field(
-        3.0, gt=0.0, le=1000.0, description="of a pose less certain the road's slope is not used"
+        3.0, gt=0.0, le=1000.0, description="beyond this σ of the pose the road's slope is not used"
     )
     flat_slope_leave: float = Field(
-        0.05, gt=0.0, le=2.0, description="automatic: steeper than this a road is not flat, a ratio"
+        0.05, gt=0.0, le=2.0, description="automatic: a steeper road is not flat, a ratio"
     )
     flat_slope_return: float = Field(
-        0.04, gt=0.0, le=2.0, description="automatic: flat again below this slope, a ratio"
+        0.04, gt=0.0, le=2.0, description="automatic: flat again below this slope"
     )
     flat_uneven_leave_m: float = Field(
-        0.03, gt=0.0, le=2.0, description="automatic: nor further off its plane than this below the beam"
+        0.03, gt=0.0, le=2.0, description="automatic: a road farther off its plane below the beam is not flat"
     )
     flat_uneven_return_m: float = Field(0.02, gt=0.0, le=2.0, description="automatic: flat again below this")
     flat_dwell_s: float = Field(
-        2.0, ge=0.0, le=600.0, description="automatic: a road stays flat, or not, for so long at least"
+        2.0, ge=0.0, le=600.0, description="automatic: least time between two changes of flat and not flat"
     )
     disagree_sigmas: float = Field(
-        4.0, gt=0.0, le=20.0, description="two ways disagree beyond so many σ of their difference"
+        4.0, gt=0.0, le=20.0, description="two methods disagree beyond so many σ of their difference"
     )
     disagree_after_s: float = Field(
         1.0, ge=0.0, le=60.0, description="and for so long, or at once beyond twice that"
     )
     disagree_kept_s: float = Field(
-        60.0, ge=0.0, le=3600.0, description="a disagreement stands so long when it can be tested no more"
+        60.0, ge=0.0, le=3600.0, description="how long a disagreement lasts that cannot be tested any more"
     )
     change_least_m: float = Field(
-        0.006, gt=0.0, le=1.0, description="a smaller change of the difference of two ways is none"
+        0.006, gt=0.0, le=1.0, description="smallest change of the difference of two methods"
     )
-    change_sigmas: float = Field(
-        4.0, gt=0.0, le=20.0, description="nor one that is less than so many of its own σ"
-    )
-    publish_period_s: float = Field(0.2, gt=0.0, le=1.0, description="a height is repeated this often")
+    change_sigmas: float = Field(4.0, gt=0.0, le=20.0, description="a change exceeds so many of its own σ")
+    publish_period_s: float = Field(0.2, gt=0.0, le=1.0, description="period of publication")
 
     @model_validator(mode="after")
     def _is_measured(self) -> Self:
         if self.way == "stroke" and (self.suspension_to_antenna_m is None or self.tyre_radius_m is None):
             raise ValueError("way stroke needs suspension_to_antenna_m and tyre_radius_m")
-        sensors = {
-            "ranging": ("ranging", "lidar"),
-            "scan_matching": ("lidar",),
-            "automatic": ("ranging", "lidar"),
-        }
-        if self.way in sensors:
-            has_sensor = any(getattr(self, name) is not None for name in sensors[self.way])
+        sensors = {"scan_matching": ("lidar",)}.get(self.way, ("ranging", "lidar"))
+        if self.way not in ("fixed", "stroke"):
+            has_sensor = any(getattr(self, name) is not None for name in sensors)
             if self.antenna is None or not has_sensor:
-                raise ValueError(f"way {self.way} needs antenna and {' or '.join(sensors[self.way])}")
-        for name in ("flat_slope", "flat_uneven"):
-            unit = "" if name == "flat_slope" else "_m"
-            if getattr(self, f"{name}_return{unit}") > getattr(self, f"{name}_leave{unit}"):
-                raise ValueError(f"{name}_return{unit} is above {name}_leave{unit}, expected at most that")
+                raise ValueError(f"way {self.way} needs antenna and {' or '.join(sensors)}")
+        for high, low in (
+            ("flat_slope_leave", "flat_slope_return"),
+            ("flat_uneven_leave_m", "flat_uneven_return_m"),
+        ):
+            if getattr(self, low) > getattr(self, high):
+                raise ValueError(f"{low} is above {high}, expected at most that")
         return self
 
     def options(self) -> AntennaOptions:
-        """As the pure modules take them."""
+        """Return the estimator's parameters."""
         return AntennaOptions(
-            self._vehicle(),
-            self.way,
-            ComparisonRules(
-                self.disagree_sigmas,
-                self.disagree_after_s,
-                self.disagree_kept_s,
-                ChangeRules(self.change_least_m, self.change_sigmas),
+            vehicle=self._vehicle(),
+            method=self.way,
+            comparison=ComparisonRules(
+                sigmas=self.disagree_sigmas,
+                after_s=self.disagree_after_s,
+                kept_s=self.disagree_kept_s,
+                change=ChangeRules(self.change_least_m, self.change_sigmas),
             ),
-            FlatRules(
-                self.flat_slope_leave,
-                self.flat_slope_return,
-                self.flat_uneven_leave_m,
-                self.flat_uneven_return_m,
-                self.flat_dwell_s,
+            flat=FlatRules(
+                **{field.name: getattr(self, f"flat_{field.name}") for field in fields(FlatRules)}
             ),
         )
 
-    def _vehicle(self) -> Vehicle:
-        fixed = None if self.fixed_height_m is None else FixedWay(self.fixed_height_m, self.fixed_sigma_m)
+    def _vehicle(self) -> VehicleGeometry:
+        fixed = None if self.fixed_height_m is None else FixedHeight(self.fixed_height_m, self.fixed_sigma_m)
         stroke = ranging = None
         if self.suspension_to_antenna_m is not None and self.tyre_radius_m is not None:
-            stroke = StrokeWay(self.suspension_to_antenna_m, self.tyre_radius_m, _arm(self.suspension))
-        if self.ranging is not None:
-            ranging = RangingWay(
-                self.ranging.arm(), math.radians(self.beam_azimuth_deg), math.radians(self.beam_sigma_deg)
+            stroke = StrokeGeometry(
+                suspension_to_antenna_m=self.suspension_to_antenna_m,
+                tyre_radius_m=self.tyre_radius_m,
+                suspension=_arm(self.suspension),
             )
-        return Vehicle(
+        sensor = _arm(self.ranging)
+        if sensor is not None:
+            ranging = RangingGeometry(
+                sensor=sensor,
+                beam_azimuth_rad=math.radians(self.beam_azimuth_deg),
+                beam_sigma_rad=math.radians(self.beam_sigma_deg),
+            )
+        return VehicleGeometry(
             tilt=TiltRules(
-                math.radians(self.body_pitch_sigma_deg),
-                math.radians(self.body_roll_sigma_deg),
-                math.radians(self.attitude_sigma_deg),
-                self.slope_sigma,
+                body_pitch_sigma_rad=math.radians(self.body_pitch_sigma_deg),
+                body_roll_sigma_rad=math.radians(self.body_roll_sigma_deg),
+                attitude_sigma_rad=math.radians(self.attitude_sigma_deg),
+                slope_sigma=self.slope_sigma,
             ),
             fixed=fixed,
             stroke=stroke,
@@ -196,5 +185,5 @@ class AntennaHeightSettings(ServiceSettings):
         )
 
 
-def _arm(place: Place | None) -> Arm | None:
-    return None if place is None else place.arm()
+def _arm(point: BodyPoint | None) -> Arm | None:
+    return None if point is None else Arm(point.x_m, point.y_m, point.z_m)

@@ -1,4 +1,4 @@
-"""Over simulated drives each way is within its own 3 σ, and a tyre that loses air is noticed; seeds as in no tuning.
+"""Over simulated drives each method is within its 3 σ, and a tyre that loses air is detected; seeds not used in tuning.
 
 More drives, and the localizer's own matches: `support.antenna_statistics`.
 """
@@ -15,31 +15,31 @@ from support.lidar_drives import HILL
 
 @pytest.mark.parametrize("attitude", [True, False])
 @pytest.mark.parametrize("grade", [0.0, 0.10, -0.10])
-def test_every_way_holds_its_sigma_on_flat_road_and_on_a_grade(grade: float, attitude: bool) -> None:
+def test_every_method_holds_its_sigma_on_flat_road_and_on_a_grade(grade: float, attitude: bool) -> None:
     drive = slope_drive(9201, grade, 0.02, attitude=attitude, matches=True)
-    said = run(drive, settings_of(way="automatic"))
-    assert status_shares(said)["known"] == 1.0
-    assert {one.way for one in said[50:]} == {"scan_matching" if grade else "ranging"}
-    found = judged(said, drive.true_height_m, drive.true_steepness)
-    assert set(found) == {"fixed", "stroke", "ranging", "scan_matching"}
-    for way, errors in found.items():
+    heights = run(drive, settings_of(way="automatic"))
+    assert status_shares(heights)["known"] == 1.0
+    assert {one.way for one in heights[50:]} == {"scan_matching" if grade else "ranging"}
+    errors_by_method = judged(heights, drive.true_height_m, drive.true_steepness)
+    assert set(errors_by_method) == {"fixed", "stroke", "ranging", "scan_matching"}
+    for method, errors in errors_by_method.items():
         figures = errors.figures()
         assert figures["within_3_sigma"] >= 0.99
         assert figures["sigma_median_m"] <= 0.025
-        assert figures["p95_m"] <= (0.03 if way == "scan_matching" else 0.02)
+        assert figures["p95_m"] <= (0.03 if method == "scan_matching" else 0.02)
 
 
-def test_a_tyre_that_loses_a_centimetre_is_noticed_within_thirty_seconds_and_not_before() -> None:
+def test_a_tyre_that_loses_a_centimetre_is_detected_within_thirty_seconds_and_not_before() -> None:
     fault = ChangedTyre(kind="changed_tyre", onset_s=60.0, radius_change_m=-0.01)
     drive = antenna_drive("open-sky", 9202, faults=[fault])
     onset_ns = int(drive.time_ns[0]) + 60_000_000_000
-    said = run(drive, settings_of(way="stroke"))
-    assert all(one.status == "known" for one in said if one.time_ns < onset_ns)
-    after_s = noticed_after_s(drive, said, onset_ns)
+    heights = run(drive, settings_of(way="stroke"))
+    assert all(one.status == "known" for one in heights if one.time_ns < onset_ns)
+    after_s = noticed_after_s(drive, heights, onset_ns)
     assert after_s is not None
     assert after_s <= 30.0
-    assert "stroke" in said[-1].reason
-    assert "ranging" in said[-1].reason
+    assert "stroke" in heights[-1].reason
+    assert "ranging" in heights[-1].reason
 
 
 @pytest.mark.parametrize("scenario", ["city", "open-sky"])
@@ -51,14 +51,14 @@ def test_a_tyre_that_loses_a_centimetre_is_noticed_within_thirty_seconds_and_not
     ],
     ids=["tyre", "load"],
 )
-def test_a_tyre_or_a_load_is_noticed_beside_a_matched_height_and_nothing_before(
+def test_a_tyre_or_a_load_is_detected_with_a_matched_height_and_nothing_before(
     scenario: str, fault: ChangedTyre | ChangedLoad
 ) -> None:
     drive = antenna_drive(scenario, 9204, faults=[fault], matches=True)
     onset_ns = int(drive.time_ns[0]) + 60_000_000_000
-    said = run(drive, settings_of(way="automatic"))
-    assert all(one.status == "known" for one in said[1:] if one.time_ns < onset_ns)
-    after_s = noticed_after_s(drive, said, onset_ns)
+    heights = run(drive, settings_of(way="automatic"))
+    assert all(one.status == "known" for one in heights[1:] if one.time_ns < onset_ns)
+    after_s = noticed_after_s(drive, heights, onset_ns)
     assert after_s is not None
     assert after_s <= 30.0
 
@@ -66,18 +66,18 @@ def test_a_tyre_or_a_load_is_noticed_beside_a_matched_height_and_nothing_before(
 @pytest.mark.parametrize("seed", range(9205, 9209))
 def test_a_city_with_a_matched_height_raises_no_alarm(seed: int) -> None:
     drive = antenna_drive("city", seed, matches=True)
-    said = run(drive, settings_of(way="automatic"))
-    assert status_shares(said)["disagreement"] == 0.0
+    heights = run(drive, settings_of(way="automatic"))
+    assert status_shares(heights)["disagreement"] == 0.0
 
 
-def test_on_a_grade_scan_matching_is_the_localizers_own() -> None:
+def test_on_a_grade_scan_matching_of_the_localizer_holds_its_sigma() -> None:
     """Six seconds up the steepest part of a hill."""
     drive = matched_drive(HILL, 9203, start_s=48.0, duration_s=6.0)
-    said = run(drive, settings_of(way="scan_matching"))
-    found = judged(said, drive.true_height_m, drive.true_steepness)["scan_matching"]
-    assert len(found.error_m) > 40
-    assert min(found.steepness) > 0.06
-    figures = found.figures()
+    heights = run(drive, settings_of(way="scan_matching"))
+    errors_by_method = judged(heights, drive.true_height_m, drive.true_steepness)["scan_matching"]
+    assert len(errors_by_method.error_m) > 40
+    assert min(errors_by_method.steepness) > 0.06
+    figures = errors_by_method.figures()
     assert figures["within_3_sigma"] >= 0.99
     assert figures["sigma_median_m"] <= 0.025
     assert figures["p95_m"] <= 0.03

@@ -1,4 +1,4 @@
-"""What the ways differed by in earlier drives: a tyre that was changed in the garage is noticed, damage is named."""
+"""Differences of the methods in earlier drives: a changed tyre is detected, damaged files are reported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import cast
 
 import pytest
 
-from camber.antenna_height.change_detection import BLOCK_NS, ChangeRules, ChangeWatch, Reference
+from camber.antenna_height.change_detection import BLOCK_NS, ChangeDetector, ChangeRules, Reference
 from camber.antenna_height.saved_state import references_as_text, references_from_text
 from camber.antenna_height.service import AntennaHeightService
 from camber.antenna_height.settings import AntennaHeightSettings
@@ -23,14 +23,14 @@ EARLIER = Reference(30.0, 0.020, 30.0 * 0.002**2)
 BLOCK = BLOCK_NS // STEP_NS + 1
 
 
-def watched(difference_m: float, blocks: int, earlier: Reference | None = EARLIER) -> ChangeWatch:
-    watch = ChangeWatch(ChangeRules(), earlier, earlier_least_m=0.015)
+def watched(difference_m: float, blocks: int, earlier: Reference | None = EARLIER) -> ChangeDetector:
+    detector = ChangeDetector(rules=ChangeRules(), earlier=earlier, earlier_least_m=0.015)
     for k in range(blocks * BLOCK):
-        watch.add(START_NS + k * STEP_NS, difference_m)
-    return watch
+        detector.add(START_NS + k * STEP_NS, difference_m)
+    return detector
 
 
-def test_what_differs_from_earlier_drives_is_told_after_two_blocks() -> None:
+def test_a_difference_from_earlier_drives_is_detected_after_two_blocks() -> None:
     assert watched(0.040, 1).change is None
     change = watched(0.040, 2).change
     assert change is not None
@@ -38,36 +38,36 @@ def test_what_differs_from_earlier_drives_is_told_after_two_blocks() -> None:
     assert watched(0.040, 200).change is not None
 
 
-def test_what_a_sensor_errs_by_another_time_is_no_change() -> None:
+def test_another_constant_error_of_a_sensor_is_no_change() -> None:
     assert watched(0.030, 200).change is None
     assert watched(0.040, 200, None).change is None
 
 
 def test_the_older_reference_stands_until_what_contradicts_it_is_gone() -> None:
-    watch = watched(0.040, 40)
-    assert watch.reference is EARLIER
+    detector = watched(0.040, 40)
+    assert detector.reference is EARLIER
     for k in range(40 * BLOCK, 60 * BLOCK):
-        watch.add(START_NS + k * STEP_NS, 0.022)
-    assert watch.change is None
+        detector.add(START_NS + k * STEP_NS, 0.022)
+    assert detector.change is None
 
 
 def test_a_drive_that_agrees_is_remembered_with_the_earlier_ones() -> None:
     reference = watched(0.026, 25).reference
-    assert reference.count == pytest.approx(30.0 + 20.0, abs=1.0)
+    assert reference.blocks == pytest.approx(30.0 + 20.0, abs=1.0)
     assert 0.022 < reference.mean_m < 0.023
-    assert watched(0.026, 5000).reference.count <= 451.0
+    assert watched(0.026, 5000).reference.blocks <= 451.0
 
 
 def test_means_of_two_drives_are_those_of_all_blocks() -> None:
     values = [0.01, 0.013, 0.008, 0.02, 0.017, 0.011]
     parts = [Reference(), Reference(), Reference()]
     for k, value in enumerate(values):
-        parts[k >= 2] = parts[k >= 2].and_then(value)
-        parts[2] = parts[2].and_then(value)
-    both = parts[0].and_all(parts[1])
-    assert (both.count, both.mean_m) == (6.0, pytest.approx(parts[2].mean_m))
+        parts[k >= 2] = parts[k >= 2].add(value)
+        parts[2] = parts[2].add(value)
+    both = parts[0].merged(parts[1])
+    assert (both.blocks, both.mean_m) == (6.0, pytest.approx(parts[2].mean_m))
     assert both.squares_m2 == pytest.approx(parts[2].squares_m2)
-    assert Reference().and_all(Reference()) == Reference()
+    assert Reference().merged(Reference()) == Reference()
 
 
 SETTINGS = AntennaHeightSettings(
@@ -75,7 +75,7 @@ SETTINGS = AntennaHeightSettings(
 )
 
 
-def test_text_brings_back_what_it_was_made_from_and_only_for_the_same_vehicle() -> None:
+def test_text_is_read_back_for_the_same_vehicle_only() -> None:
     vehicle = SETTINGS.options().vehicle
     references = {("fixed", "stroke"): EARLIER}
     text = references_as_text(vehicle, references)  # type: ignore[arg-type]
@@ -83,10 +83,18 @@ def test_text_brings_back_what_it_was_made_from_and_only_for_the_same_vehicle() 
     assert references_from_text(text, replace(vehicle, stored_sigma_m=0.02)) == {}
 
 
+def test_files_of_earlier_versions_stay_valid() -> None:
+    place = {"x_m": 0.3, "y_m": 0.4, "z_m": 1.58}
+    places = dict.fromkeys(("antenna", "suspension", "ranging", "lidar"), place)
+    settings = AntennaHeightSettings(**{**SETTINGS.model_dump(exclude_unset=True), **places})
+    for vehicle, fingerprint in ((SETTINGS, "202fa567c1de1f59"), (settings, "f9973f85cf5e2e4b")):
+        assert f'"vehicle": "{fingerprint}' in references_as_text(vehicle.options().vehicle, {})
+
+
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", '{"vehicle": "", "pairs": [{"ways": ["fixed"], "blocks": 1}]}', "\x00" * 40]
 )
-def test_damaged_text_is_said_to_be(text: str) -> None:
+def test_damaged_text_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         references_from_text(text, SETTINGS.options().vehicle)
 
@@ -108,11 +116,11 @@ def driven(folder: Path, stroke_m: float, *, begin_s: int = 0, **more: object) -
     bus = FakeBus()
     settings = SETTINGS.model_copy(update={"state_dir": folder, **more})
     service = AntennaHeightService(settings, cast(Bus, bus))
-    hear = service.handlers()
+    handlers = service.handlers()
     for k in range(400):
         now_ns = START_NS + begin_s * 1_000_000_000 + k * STEP_NS
-        hear["motion"](Motion(time_ns=now_ns, wheel_speed_m_s=10.0))
-        hear["suspension"](Suspension(time_ns=now_ns, stroke_height_m=stroke_m, stroke_sigma_m=0.005))
+        handlers["motion"](Motion(time_ns=now_ns, wheel_speed_m_s=10.0))
+        handlers["suspension"](Suspension(time_ns=now_ns, stroke_height_m=stroke_m, stroke_sigma_m=0.005))
         service.advance(now_ns)
     service.close()
     return bus
@@ -123,7 +131,7 @@ def status(bus: FakeBus) -> str:
     return bus.last.status
 
 
-def test_what_was_changed_between_two_drives_is_a_disagreement_until_it_is_measured(tmp_path: Path) -> None:
+def test_a_change_between_two_drives_is_a_disagreement_until_it_is_measured(tmp_path: Path) -> None:
     assert status(driven(tmp_path, 0.35)) == "known"
     assert status(driven(tmp_path, 0.37, begin_s=1000)) == "disagreement"
     assert status(driven(tmp_path, 0.37, begin_s=2000)) == "disagreement"

@@ -1,4 +1,4 @@
-"""The service says the height it was told to use, or that there is none; never a height that nobody measured."""
+"""The service publishes the height of the configured method, or that it is unknown."""
 
 from __future__ import annotations
 
@@ -49,32 +49,30 @@ class Running:
         handler = self.service.handlers()["suspension"]
         handler(Suspension(time_ns=time_ns, stroke_height_m=height_m, stroke_sigma_m=sigma_m))
 
-    def advance(self, at_s: float) -> AntennaHeight | None:
-        """What is published at this time, if anything."""
+    def published(self, at_s: float) -> list[AntennaHeight]:
+        """Advance to this time; return what is published."""
         before = len(self.bus.published)
         self.service.advance(START_NS + round(at_s * NS))
-        assert len(self.bus.published) - before <= 1
-        return self.bus.published[-1] if len(self.bus.published) > before else None
+        return self.bus.published[before:]
 
-
-def said(height: AntennaHeight | None) -> AntennaHeight:
-    assert height is not None
-    return height
+    def height(self, at_s: float) -> AntennaHeight:
+        (height,) = self.published(at_s)
+        return height
 
 
 def test_a_fixed_height_is_repeated_every_period() -> None:
     running = Running(fixed_height_m=1.8, fixed_sigma_m=0.02)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.way, height.height_m, height.sigma_m) == ("known", "fixed", 1.8, 0.02)
     assert height.time_ns == START_NS
-    assert running.advance(0.1) is None
-    assert said(running.advance(0.2)).time_ns == START_NS + NS // 5
+    assert running.published(0.1) == []
+    assert running.height(0.2).time_ns == START_NS + NS // 5
     assert running.service.healthy()
 
 
-def test_where_nothing_is_configured_the_height_is_unknown() -> None:
+def test_without_configuration_the_height_is_unknown() -> None:
     running = Running()
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.way, height.height_m, height.sigma_m) == ("unknown", None, None, None)
     assert height.reason == "fixed_height_m is not set"
     assert not running.service.healthy()
@@ -87,7 +85,7 @@ def test_stroke_heights_are_passed_on_as_they_come() -> None:
     running = Running(**STROKE, **certain)
     for n in range(3):
         running.stroke(n / 10, height_m=0.4 + n / 10)
-        height = said(running.advance(n / 10))
+        height = running.height(n / 10)
         assert (height.status, height.way) == ("known", "stroke")
         assert height.sigma_m == pytest.approx(0.01, abs=5e-4)
         assert height.height_m == pytest.approx(0.92 + 0.31 + 0.4 + n / 10)
@@ -99,33 +97,33 @@ def test_a_stroke_height_that_is_too_old_is_no_height() -> None:
     assert limit_s is not None
     running = Running(**STROKE)
     running.stroke(0.0)
-    assert said(running.advance(limit_s)).status == "known"
-    stale = said(running.advance(limit_s + 0.2))
+    assert running.height(limit_s).status == "known"
+    stale = running.height(limit_s + 0.2)
     assert (stale.status, stale.height_m) == ("unknown", None)
     assert "stroke" in stale.reason
     assert not running.service.healthy()
 
 
-def test_the_fixed_height_does_not_stand_in_for_a_stale_stroke_but_is_told() -> None:
+def test_the_fixed_height_does_not_replace_a_stale_stroke_but_is_published() -> None:
     running = Running(**STROKE, fixed_height_m=1.68)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.height_m) == ("unknown", None)
     assert [other.way for other in height.others] == ["fixed"]
 
 
-def test_ways_that_agree_give_the_chosen_one_and_the_other_beside_it() -> None:
+def test_methods_that_agree_give_the_configured_height_and_the_others() -> None:
     running = Running(**STROKE, fixed_height_m=1.70)
     running.stroke(0.0)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.way) == ("known", "stroke")
     assert height.height_m == pytest.approx(1.68)
     assert [(other.way, other.height_m) for other in height.others] == [("fixed", 1.70)]
 
 
-def test_ways_that_contradict_one_another_give_no_height() -> None:
+def test_methods_that_disagree_give_no_height() -> None:
     running = Running(**STROKE, fixed_height_m=1.80)
     running.stroke(0.0)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.way, height.height_m) == ("disagreement", None, None)
     assert height.reason == "fixed 1.800 m, stroke 1.680 m for 0 s"
     assert [other.way for other in height.others] == ["stroke", "fixed"]
@@ -135,20 +133,20 @@ def test_ways_that_contradict_one_another_give_no_height() -> None:
 def test_an_implausible_height_is_unknown_and_an_issue() -> None:
     running = Running(way="stroke", suspension_to_antenna_m=-5.0, tyre_radius_m=0.3)
     running.stroke(0.0)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert height.status == "unknown"
     assert "expected -1 m to 100 m" in height.reason
     assert running.bus.issues == {"implausible_height": 1, "height_unknown": 1}
 
 
-def test_a_clock_that_is_set_back_does_not_silence_the_service() -> None:
+def test_a_clock_that_is_set_back_does_not_stop_the_publication() -> None:
     running = Running(fixed_height_m=1.8)
-    assert running.advance(3600.0) is not None
-    assert running.advance(0.0) is not None
-    assert running.advance(0.1) is None
+    assert len(running.published(3600.0)) == 1
+    assert len(running.published(0.0)) == 1
+    assert running.published(0.1) == []
 
 
-def test_before_the_first_tick_nothing_is_said() -> None:
+def test_before_the_first_tick_nothing_is_published() -> None:
     running = Running(fixed_height_m=1.8)
     running.service.advance(0)
     assert running.bus.published == []
@@ -156,7 +154,7 @@ def test_before_the_first_tick_nothing_is_said() -> None:
 
 
 @pytest.mark.parametrize("missing", ["suspension_to_antenna_m", "tyre_radius_m"])
-def test_the_way_stroke_needs_what_was_measured_of_the_vehicle(missing: str) -> None:
+def test_stroke_needs_the_dimensions_of_the_vehicle(missing: str) -> None:
     argv = ["--way", "stroke"]
     for name in {"suspension_to_antenna_m", "tyre_radius_m"} - {missing}:
         argv += [f"--{name.replace('_', '-')}", "0.3"]
@@ -164,7 +162,7 @@ def test_the_way_stroke_needs_what_was_measured_of_the_vehicle(missing: str) -> 
         load(AntennaHeightSettings, argv, prog="camber antenna_height")
 
 
-def test_it_listens_to_what_the_table_gives_it_and_to_nothing_else() -> None:
+def test_inputs_are_those_of_the_channel_table() -> None:
     assert SERVICE is AntennaHeightService
     assert set(Running().service.handlers()) == {channel.name for channel in inputs_of("antenna_height")}
 
@@ -173,7 +171,7 @@ PLACE = {"x_m": 0.0, "y_m": 0.0, "z_m": 1.5}
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("settings", "expected"),
     [
         ({"way": "ranging", "ranging": PLACE}, "way ranging needs antenna and ranging or lidar"),
         ({"way": "ranging", "antenna": PLACE}, "way ranging needs antenna and ranging or lidar"),
@@ -184,13 +182,15 @@ PLACE = {"x_m": 0.0, "y_m": 0.0, "z_m": 1.5}
         ({"flat_uneven_return_m": 0.2}, "flat_uneven_return_m is above flat_uneven_leave_m"),
     ],
 )
-def test_a_way_that_cannot_be_is_refused_before_the_drive(settings: dict[str, Any], words: str) -> None:
+def test_a_method_without_its_sensors_is_refused_by_the_settings(
+    settings: dict[str, Any], expected: str
+) -> None:
     with pytest.raises(ValidationError) as refused:
         AntennaHeightSettings(**settings)
-    assert words in str(refused.value).replace("\n", ".")
+    assert expected in str(refused.value).replace("\n", ".")
 
 
-def test_each_measurement_of_the_way_is_answered_and_no_other() -> None:
+def test_each_measurement_of_the_configured_method_publishes_and_no_other() -> None:
     running = Running(
         way="ranging",
         antenna=PLACE,
@@ -199,9 +199,9 @@ def test_each_measurement_of_the_way_is_answered_and_no_other() -> None:
     )
     distance = Ranging(time_ns=START_NS, distance_m=0.9, beam_angle_rad=math.pi / 2, distance_sigma_m=0.004)
     running.service.handlers()["ranging"](distance)
-    height = said(running.advance(0.0))
+    height = running.height(0.0)
     assert (height.status, height.way, height.height_m) == ("known", "ranging", pytest.approx(1.5))
     running.stroke(0.05, 0.27)
-    assert running.advance(0.05) is None
+    assert running.published(0.05) == []
     running.service.handlers()["ranging"](distance.model_copy(update={"time_ns": START_NS + NS // 10}))
-    assert [other.way for other in said(running.advance(0.1)).others] == ["stroke"]
+    assert [other.way for other in running.height(0.1).others] == ["stroke"]

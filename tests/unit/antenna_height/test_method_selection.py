@@ -1,4 +1,4 @@
-"""All ways side by side: which is passed on, what stands in for it, and words for every input that is of no use."""
+"""Which method is published, what replaces it, and the reason for every input that cannot be used."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from camber.antenna_height.body_attitude import Slopes
-from camber.antenna_height.estimator import Antenna, Said
+from camber.antenna_height.estimator import AntennaHeightEstimator
 from camber.antenna_height.flatness import Flatness, FlatRules
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.schemas.antenna import AntennaHeight
@@ -30,6 +30,8 @@ CAR: dict[str, Any] = {
     "fixed_height_m": 1.58,
 }
 THETA_RAD = math.radians(70.0)
+DISTANCE_M = 0.95 / math.sin(THETA_RAD)
+ALL = {"fixed", "stroke", "ranging", "scan_matching"}
 
 
 def road(forward: float) -> Road:
@@ -40,46 +42,48 @@ class Vehicle:
     """Drives to the east at 10 m/s, a step of 0.1 s at a time, on a road of some slope; sensors may be left out."""
 
     def __init__(self, **settings: Any) -> None:
-        self.antenna = Antenna(AntennaHeightSettings(**(CAR | settings)).options())
+        self.estimator = AntennaHeightEstimator(AntennaHeightSettings(**(CAR | settings)).options())
+        self.handlers = self.estimator.handlers()
         self.now_ns = START_NS
 
     def drive(self, seconds: float, slope: float = 0.0, **left_out: Any) -> AntennaHeight:
-        """What is said at the end. `stroke_m`, `distance_m`, `theta_rad`, `match`, `road`, `pitch_rad`: other values;
-        None: nothing comes."""
+        """Return the last height. `stroke_m`, `distance_m`, `theta_rad`, `match`, `road`, `pitch_rad`: other values;
+        None: no message."""
         for _ in range(round(seconds * 10)):
             self.now_ns += STEP_NS
-            self.hear(slope, **left_out)
-            said = self.antenna.height(self.now_ns)
-        return self.checked(said)
+            self.receive(slope, **left_out)
+            height = self.height()
+        return height
 
-    def hear(self, slope: float, **other: Any) -> None:
+    def receive(self, slope: float, **other: Any) -> None:
         t, upright = self.now_ns, math.sqrt(1.0 + slope**2)
         pitch_rad = other.get("pitch_rad", -math.atan(slope))
-        self.antenna.hear_motion(Motion(time_ns=t, wheel_speed_m_s=10.0, pitch_rad=pitch_rad, roll_rad=0.0))
-        self.antenna.hear_pose(pose(t, other.get("road", road(slope))))
-        stroke_m, distance_m = (
-            other.get("stroke_m", 0.42),
-            other.get("distance_m", 0.95 / math.sin(THETA_RAD)),
-        )
+        self.handlers["motion"](Motion(time_ns=t, wheel_speed_m_s=10.0, pitch_rad=pitch_rad, roll_rad=0.0))
+        self.handlers["pose"](pose(t, other.get("road", road(slope))))
+        stroke_m, distance_m = other.get("stroke_m", 0.42), other.get("distance_m", DISTANCE_M)
         if stroke_m is not None:
-            self.antenna.hear_suspension(
-                Suspension(time_ns=t, stroke_height_m=stroke_m, stroke_sigma_m=0.003)
-            )
+            self.measure_stroke(stroke_m)
         if distance_m is not None:
-            theta_rad = other.get("theta_rad", THETA_RAD)
-            self.antenna.hear_ranging(
-                Ranging(time_ns=t, distance_m=distance_m, beam_angle_rad=theta_rad, distance_sigma_m=0.004)
-            )
+            self.measure_distance(distance_m, other.get("theta_rad", THETA_RAD))
         match = other.get("match", {"sensor_height_m": 1.95 * upright, "sensor_height_sigma_m": 0.01})
         if match is not None:
             match = {"roll_pitch_yaw_rad": (0.0, -math.atan(slope), 0.0), "status": "converged"} | match
             match = {"road_slope_forward": slope, "road_slope_left": 0.0} | match
-            self.antenna.hear_match(ScanMatch(time_ns=t, **match))
+            self.handlers["scan_match"](ScanMatch(time_ns=t, **match))
 
-    def checked(self, said: Said) -> AntennaHeight:
-        encode(said.height)
-        self.problems = said.problems
-        return said.height
+    def measure_stroke(self, stroke_m: float, *, later_ns: int = 0) -> None:
+        time_ns = self.now_ns + later_ns
+        message = Suspension(time_ns=time_ns, stroke_height_m=stroke_m, stroke_sigma_m=0.003)
+        self.handlers["suspension"](message)
+
+    def measure_distance(self, distance_m: float, theta_rad: float = THETA_RAD) -> None:
+        distance = {"distance_m": distance_m, "distance_sigma_m": 0.004}
+        self.handlers["ranging"](Ranging(time_ns=self.now_ns, beam_angle_rad=theta_rad, **distance))
+
+    def height(self) -> AntennaHeight:
+        height, self.problems = self.estimator.height(self.now_ns)
+        encode(height)
+        return height
 
 
 def pose(time_ns: int, below: Road, sigma_m: float = 0.3) -> Pose:
@@ -97,17 +101,17 @@ def pose(time_ns: int, below: Road, sigma_m: float = 0.3) -> Pose:
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.10, -0.10])
-@pytest.mark.parametrize("way", ["fixed", "stroke", "ranging", "scan_matching"])
-def test_every_way_knows_the_height_on_any_grade_and_has_the_others_beside_it(way: str, slope: float) -> None:
-    height = Vehicle(way=way).drive(5.0, slope)
-    assert (height.status, height.way, height.reason) == ("known", way, "")
+@pytest.mark.parametrize("method", ["fixed", "stroke", "ranging", "scan_matching"])
+def test_every_method_gives_the_height_on_any_grade_and_the_others(method: str, slope: float) -> None:
+    height = Vehicle(way=method).drive(5.0, slope)
+    assert (height.status, height.way, height.reason) == ("known", method, "")
     assert height.height_m == pytest.approx(1.58 * math.sqrt(1.0 + slope**2), abs=2e-3)
     assert height.sigma_m is not None
     assert height.sigma_m < 0.025
-    assert {other.way for other in height.others} == {"fixed", "stroke", "ranging", "scan_matching"} - {way}
+    assert {other.way for other in height.others} == ALL - {method}
 
 
-def test_the_lidars_own_returns_stand_in_for_a_ranging_sensor_that_is_not_there() -> None:
+def test_the_lidars_ground_returns_replace_an_absent_ranging_sensor() -> None:
     seen = {"status": "lost", "ground_height_m": 1.95, "ground_height_sigma_m": 0.01}
     height = Vehicle(way="ranging", ranging=None).drive(1.0, match=seen)
     assert (height.status, height.way) == ("known", "ranging")
@@ -123,7 +127,7 @@ def test_automatic_ranges_on_flat_road_and_matches_on_a_grade() -> None:
     assert vehicle.drive(5.0).way == "ranging"
 
 
-def test_automatic_says_why_another_way_stands_in() -> None:
+def test_automatic_gives_the_reason_for_another_method() -> None:
     vehicle = Vehicle(way="automatic")
     height = vehicle.drive(5.0, distance_m=None)
     assert (height.status, height.way) == ("known", "scan_matching")
@@ -141,13 +145,13 @@ def test_automatic_says_why_another_way_stands_in() -> None:
     assert height.reason.endswith("no fresh distance to the road")
 
 
-def test_automatic_without_a_road_says_so() -> None:
+def test_automatic_without_a_road_gives_the_reason() -> None:
     height = Vehicle(way="automatic").drive(1.0, road=Road(status="unknown", reason="no_surface"))
     assert (height.way, height.reason) == ("ranging", "road not known")
 
 
 @pytest.mark.parametrize(
-    ("way", "other", "words"),
+    ("method", "other", "reason"),
     [
         ("stroke", {"stroke_m": None}, "no fresh stroke height"),
         (
@@ -174,19 +178,19 @@ def test_automatic_without_a_road_says_so() -> None:
         ),
     ],
 )
-def test_a_way_that_was_named_is_taken_or_none_and_the_reason_says_why(
-    way: str, other: dict[str, Any], words: str
+def test_a_configured_method_has_no_substitute_and_the_reason_is_given(
+    method: str, other: dict[str, Any], reason: str
 ) -> None:
-    vehicle = Vehicle(way=way)
+    vehicle = Vehicle(way=method)
     height = vehicle.drive(1.0, **other)
     assert (height.status, height.height_m) == ("unknown", None)
-    assert words in height.reason
+    assert reason in height.reason
     assert len(height.others) == 3
     assert bool(vehicle.problems) == ("implausible" in height.reason)
 
 
 @pytest.mark.parametrize(
-    ("way", "missing", "words"),
+    ("method", "missing", "reason"),
     [
         ("fixed", {"fixed_height_m": None}, "fixed_height_m is not set"),
         ("automatic", {"lidar": None}, ""),
@@ -194,29 +198,23 @@ def test_a_way_that_was_named_is_taken_or_none_and_the_reason_says_why(
         ("stroke", {"suspension": None}, ""),
     ],
 )
-def test_places_that_nobody_measured_are_words_or_a_larger_sigma(
-    way: str, missing: dict[str, Any], words: str
+def test_dimensions_that_are_not_measured_are_a_reason_or_a_larger_sigma(
+    method: str, missing: dict[str, Any], reason: str
 ) -> None:
-    height = Vehicle(way=way, **missing).drive(1.0)
-    assert height.reason == words
-    if way == "stroke":
-        measured = Vehicle(way=way).drive(1.0)
+    height = Vehicle(way=method, **missing).drive(1.0)
+    assert height.reason == reason
+    if method == "stroke":
+        measured = Vehicle(way=method).drive(1.0)
         assert height.sigma_m > measured.sigma_m
 
 
-def test_a_measurement_that_is_too_old_is_none_and_an_attitude_that_is_too_old_only_costs_sigma() -> None:
+def test_a_stale_measurement_gives_no_height_and_a_stale_attitude_a_larger_sigma() -> None:
     vehicle = Vehicle(way="ranging")
     fresh = vehicle.drive(1.0)
     vehicle.now_ns += 2 * NS
-    assert vehicle.checked(vehicle.antenna.height(vehicle.now_ns)).status == "unknown"
-    ranging = Ranging(
-        time_ns=vehicle.now_ns,
-        distance_m=0.95 / math.sin(THETA_RAD),
-        beam_angle_rad=THETA_RAD,
-        distance_sigma_m=0.004,
-    )
-    vehicle.antenna.hear_ranging(ranging)
-    alone = vehicle.checked(vehicle.antenna.height(vehicle.now_ns))
+    assert vehicle.height().status == "unknown"
+    vehicle.measure_distance(DISTANCE_M)
+    alone = vehicle.height()
     assert alone.status == "known"
     assert alone.sigma_m > fresh.sigma_m
 
@@ -224,16 +222,13 @@ def test_a_measurement_that_is_too_old_is_none_and_an_attitude_that_is_too_old_o
 def test_an_older_message_does_not_replace_a_newer_one() -> None:
     vehicle = Vehicle(way="stroke")
     vehicle.drive(1.0)
-    late = Suspension(time_ns=vehicle.now_ns - STEP_NS, stroke_height_m=0.5, stroke_sigma_m=0.003)
-    vehicle.antenna.hear_suspension(late)
-    height = vehicle.checked(vehicle.antenna.height(vehicle.now_ns))
-    assert height.height_m == pytest.approx(1.58, abs=1e-3)
+    vehicle.measure_stroke(0.5, later_ns=-STEP_NS)
+    assert vehicle.height().height_m == pytest.approx(1.58, abs=1e-3)
 
 
-def test_after_a_clock_was_far_ahead_the_right_time_is_heard_again() -> None:
+def test_after_a_message_from_the_far_future_present_ones_are_used() -> None:
     vehicle = Vehicle(way="stroke")
-    ahead = Suspension(time_ns=START_NS + 3600 * NS, stroke_height_m=0.5, stroke_sigma_m=0.003)
-    vehicle.antenna.hear_suspension(ahead)
+    vehicle.measure_stroke(0.5, later_ns=3600 * NS)
     assert vehicle.drive(1.0).status == "known"
 
 
@@ -242,19 +237,19 @@ def test_an_attitude_of_a_vehicle_that_lies_on_its_side_is_not_used() -> None:
     assert (upset.status, upset.height_m) == ("known", pytest.approx(1.58, abs=1e-6))
 
 
-def test_a_pose_that_is_too_uncertain_says_nothing_of_the_slope() -> None:
+def test_of_a_pose_that_is_too_uncertain_the_slope_is_not_used() -> None:
     vehicle = Vehicle(way="fixed")
     vehicle.drive(1.0, slope=0.10)
-    assert vehicle.antenna.height(vehicle.now_ns).height.height_m == pytest.approx(1.588, abs=1e-3)
-    vehicle.antenna.hear_pose(pose(vehicle.now_ns, road(0.10), sigma_m=5.0))
-    vehicle.antenna.hear_motion(Motion(time_ns=vehicle.now_ns))
-    assert vehicle.antenna.height(vehicle.now_ns).height.height_m == 1.58
+    assert vehicle.height().height_m == pytest.approx(1.588, abs=1e-3)
+    vehicle.handlers["pose"](pose(vehicle.now_ns, road(0.10), sigma_m=5.0))
+    vehicle.handlers["motion"](Motion(time_ns=vehicle.now_ns))
+    assert vehicle.height().height_m == 1.58
 
 
-def test_a_tyre_that_loses_air_is_told_with_both_numbers() -> None:
+def test_a_tyre_that_loses_air_is_a_disagreement_with_both_heights() -> None:
     vehicle = Vehicle(way="stroke")
     assert vehicle.drive(60.0).status == "known"
-    height = vehicle.drive(30.0, distance_m=0.935 / math.sin(THETA_RAD), match=None)
+    height = vehicle.drive(30.0, distance_m=DISTANCE_M - 0.015 / math.sin(THETA_RAD), match=None)
     assert (height.status, height.height_m) == ("disagreement", None)
     assert "stroke 1.580 m, ranging 1.565 m" in height.reason
     assert "stroke less ranging is +0.015 m from what it was, for " in height.reason
@@ -269,42 +264,42 @@ class Along:
     """Poses 1 m apart along a road."""
 
     def __init__(self, **rules: Any) -> None:
-        self.flatness = Flatness(FlatRules(**rules), reach_m=2.0)
+        self.flatness = Flatness(rules=FlatRules(**rules), reach_m=2.0)
         self.now_ns = START_NS
 
-    def hear(self, *slopes: float | None) -> bool | None:
+    def flat_after(self, *slopes: float | None) -> bool | None:
         for slope in slopes:
             self.now_ns += STEP_NS
-            self.flatness.hear(self.now_ns, None if slope is None else Slopes(slope, 0.0), 10.0)
+            self.flatness.update(self.now_ns, None if slope is None else Slopes(slope, 0.0), 10.0)
         return self.flatness.flat
 
 
-def test_nothing_is_flat_before_the_road_is_known_and_an_unknown_one_leaves_the_last_word() -> None:
+def test_flatness_is_unknown_before_the_first_road_and_lasts_over_an_unknown_one() -> None:
     along = Along()
-    assert along.hear(None, None) is None
-    assert along.hear(0.0) is True
-    assert along.hear(*[None] * 50) is True
+    assert along.flat_after(None, None) is None
+    assert along.flat_after(0.0) is True
+    assert along.flat_after(*[None] * 50) is True
 
 
-def test_between_the_two_thresholds_the_last_word_stands() -> None:
+def test_between_the_two_thresholds_the_last_state_stays() -> None:
     along = Along(dwell_s=0.0)
-    assert along.hear(*[0.045] * 20) is True
-    assert along.hear(*[0.055] * 20) is False
-    assert along.hear(*[0.045] * 20) is False
-    assert along.hear(*[0.035] * 20) is True
+    assert along.flat_after(*[0.045] * 20) is True
+    assert along.flat_after(*[0.055] * 20) is False
+    assert along.flat_after(*[0.045] * 20) is False
+    assert along.flat_after(*[0.035] * 20) is True
 
 
-def test_a_road_does_not_change_its_mind_before_it_has_dwelt() -> None:
+def test_the_state_does_not_change_before_it_has_dwelt() -> None:
     along = Along(dwell_s=2.0)
-    along.hear(*[0.0] * 30)
-    assert along.hear(*[0.08] * 1) is False
-    assert along.hear(*[0.0] * 18) is False
-    assert along.hear(*[0.0] * 5) is True
+    along.flat_after(*[0.0] * 30)
+    assert along.flat_after(*[0.08] * 1) is False
+    assert along.flat_after(*[0.0] * 18) is False
+    assert along.flat_after(*[0.0] * 5) is True
 
 
 def test_a_bend_of_the_road_below_the_beam_is_not_flat() -> None:
     along = Along(dwell_s=0.0)
-    assert along.hear(*[0.0] * 20) is True
-    assert along.hear(0.01, 0.02, 0.02) is False
+    assert along.flat_after(*[0.0] * 20) is True
+    assert along.flat_after(0.01, 0.02, 0.02) is False
     assert "uneven by 0.040 m" in along.flatness.reason
-    assert along.hear(*[0.02] * 10) is True
+    assert along.flat_after(*[0.02] * 10) is True

@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from camber.antenna_height.settings import AntennaHeightSettings, Place
+from camber.antenna_height.settings import AntennaHeightSettings, BodyPoint
 from camber.replay import command as replay
 from camber.replay.drive_inputs import DriveInputs, Tick, prepare_drive
 from camber.replay.lock_step.drive import process_settings
@@ -111,7 +111,7 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
     assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
     assert settings.beam_azimuth_deg == 180.0
     places = (settings.antenna, settings.lidar, settings.ranging, settings.suspension)
-    assert all(place == Place(x_m=1.0, y_m=0.0, z_m=1.5) for place in places)
+    assert all(place == BodyPoint(x_m=1.0, y_m=0.0, z_m=1.5) for place in places)
 
 
 def test_a_sensor_that_a_drive_has_not_got_is_not_waited_for(
