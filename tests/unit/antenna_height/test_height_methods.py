@@ -52,7 +52,7 @@ LEVEL = exact(Slopes(0.0, 0.0), Tilt(0.0, 0.0))
 
 def measured_distance(distance_m: float, beam_angle_rad: float, sigma_m: float = 0.0) -> Ranging:
     return Ranging.model_construct(
-        distance_m=distance_m, beam_angle_rad=beam_angle_rad, distance_sigma_m=sigma_m
+        time_ns=0, distance_m=distance_m, beam_angle_rad=beam_angle_rad, distance_sigma_m=sigma_m
     )
 
 
@@ -61,7 +61,7 @@ def beam(sensor: Arm, azimuth_rad: float, sigma_rad: float = 0.0) -> RangingGeom
 
 
 def measured_stroke(stroke_m: float, sigma_m: float = 0.0) -> Suspension:
-    return Suspension.model_construct(stroke_height_m=stroke_m, stroke_sigma_m=sigma_m)
+    return Suspension.model_construct(time_ns=0, stroke_height_m=stroke_m, stroke_sigma_m=sigma_m)
 
 
 class Scene:
