@@ -24,6 +24,7 @@ from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.security.access_rules import INSIDE, Kind, Party
 from camber.tools.security.access_table import table_text
 from camber.tools.security.certificates import Authority, CertsError, check_name
@@ -48,60 +49,39 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="camber access", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser("camber access", __doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     cloud = commands.add_parser("cloud", help="write the configuration of a cloud router")
     cloud.set_defaults(work=_cloud)
-    cloud.add_argument(
-        "--certs", type=Path, metavar="FOLDER", help="folder of the CA: include all certificates issued"
-    )
+    text = "folder of the CA: include all certificates issued"
+    cloud.add_argument("--certs", type=Path, metavar="FOLDER", help=text)
+    text = "repeatable; NAME=CN where the certificate's common name differs from NAME"
     for kind in ("vehicle", "consumer", "judge", "operator"):
-        cloud.add_argument(
-            f"--{kind}",
-            action="append",
-            default=[],
-            metavar="NAME",
-            help="repeatable; NAME=CN where the certificate's common name differs from NAME",
-        )
-    cloud.add_argument(
-        "--router",
-        action="append",
-        metavar="CN",
-        help="common names of all cloud routers, this one first (default cloud)",
-    )
+        cloud.add_argument(f"--{kind}", action="append", default=[], metavar="NAME", help=text)
+    text = "common names of all cloud routers, this one first (default cloud)"
+    cloud.add_argument("--router", action="append", metavar="CN", help=text)
     cloud.add_argument("--listen", action="append", help=f"endpoint to listen on (default {LISTEN_CLOUD})")
     cloud.add_argument("--connect", action="append", default=[], help="endpoint of another cloud router")
     vehicle = commands.add_parser("vehicle", help="write the configuration of a vehicle's router")
     vehicle.set_defaults(work=_vehicle)
     vehicle.add_argument("name", metavar="NAME")
-    vehicle.add_argument(
-        "--connect", action="append", required=True, help="endpoint of a cloud router; repeat for failover"
-    )
-    vehicle.add_argument(
-        "--listen", action="append", help=f"endpoint within the vehicle (default {LISTEN_VEHICLE})"
-    )
-    vehicle.add_argument(
-        "--to",
-        nargs="+",
-        choices=[kind for kind in _KINDS if kind != "vehicle"],
-        default=["map_update", "consumer"],
-        help="cloud parties that may receive this vehicle's messages (default map_update consumer)",
-    )
+    text = "endpoint of a cloud router; repeat for failover"
+    vehicle.add_argument("--connect", action="append", required=True, help=text)
+    text = f"endpoint within the vehicle (default {LISTEN_VEHICLE})"
+    vehicle.add_argument("--listen", action="append", help=text)
+    receivers = [kind for kind in _KINDS if kind != "vehicle"]
+    text = "cloud parties that may receive this vehicle's messages (default map_update consumer)"
+    vehicle.add_argument("--to", nargs="+", choices=receivers, default=["map_update", "consumer"], help=text)
     for command in (cloud, vehicle):
-        command.add_argument(
-            "--tls", type=Path, default=FOLDER, help=f"folder of CA, certificate and key (default {FOLDER})"
-        )
+        add_with_default(command, "--tls", FOLDER, "folder of CA, certificate and key", type=Path)
         command.add_argument("--out", type=Path, metavar="FILE", help="output file (default standard output)")
     table = commands.add_parser("table", help="print the access rules as a Markdown table")
     table.set_defaults(work=lambda _: print(table_text(), end="") or 0)
     check = commands.add_parser("check", help="test whether this certificate may publish")
     check.set_defaults(work=_check)
     check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
-    check.add_argument(
-        "--name", help="vehicle to publish as (default: from the rules, else from the certificate)"
-    )
+    text = "vehicle to publish as (default: from the rules, else from the certificate)"
+    check.add_argument("--name", help=text)
     check.add_argument("--timeout-s", type=SECONDS, default=5.0)
     return parser
 
@@ -142,9 +122,7 @@ def _cloud(args: argparse.Namespace) -> int:
 def _vehicle(args: argparse.Namespace) -> int:
     check_name(args.name)
     for endpoint in args.connect:
-        if not endpoint.startswith(
-            OVER_TLS
-        ):  # the rules treat any other protocol as a service inside the vehicle
+        if not endpoint.startswith(OVER_TLS):  # the rules treat any other as a service inside the vehicle
             raise ValueError(f"--connect {endpoint}: expected tls/… or quic/…")
     for endpoint in args.listen or ():
         if endpoint.partition("/")[0] not in INSIDE:  # the rules treat TLS as the link to the cloud
@@ -183,13 +161,10 @@ def settings_of(connect: Sequence[str], table: dict[str, object]) -> ZenohSettin
     """Return client settings equivalent to a router's uplink. Raises ValueError where it has none over TLS."""
     if not connect or not table.get("connect_certificate"):
         raise ValueError("connects to no other router over TLS, so there is no access to check")
-    return ZenohSettings(
-        mode="client",
-        connect=list(connect),
-        tls_ca=Path(str(table["root_ca_certificate"])),
-        tls_certificate=Path(str(table["connect_certificate"])),
-        tls_key=Path(str(table["connect_private_key"])),
-    )
+    names = ("root_ca_certificate", "connect_certificate", "connect_private_key")
+    ca, certificate, key = (Path(str(table[name])) for name in names)
+    files = {"tls_ca": ca, "tls_certificate": certificate, "tls_key": key}
+    return ZenohSettings(mode="client", connect=list(connect), **files)
 
 
 def _write(path: Path | None, text: str) -> None:
@@ -210,14 +185,9 @@ def _write(path: Path | None, text: str) -> None:
 
 
 def _without_out(arguments: Sequence[str]) -> list[str]:
-    kept, skip = [], False
-    for argument in arguments:
-        if skip or argument == "--out" or argument.startswith("--out="):
-            skip = argument == "--out"
-            continue
-        kept.append(argument)
-    return kept
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    before = ["", *arguments]
+    return [
+        a
+        for a, previous in zip(arguments, before, strict=False)
+        if "--out" not in (a.partition("=")[0], previous)
+    ]

@@ -24,16 +24,9 @@ FLEET = "fleet"
 """Vehicle name in the keys of cloud services."""
 INSIDE = ("tcp", "unixsock-stream")
 MESSAGES = (
-    "put",
-    "delete",
-    "declare_subscriber",
-    "query",
-    "reply",
-    "declare_queryable",
-    "liveliness_token",
-    "liveliness_query",
-    "declare_liveliness_subscriber",
-)
+    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
+    "liveliness_query", "declare_liveliness_subscriber",
+)  # fmt: skip
 ALIVE = "camber/v1/{vehicle}/{service}/alive"
 
 _WITHIN = (*VEHICLE_SERVICES, SENSORS)
@@ -192,10 +185,8 @@ def cloud_access_control(parties: Sequence[Party], routers: Sequence[str]) -> di
 def vehicle_access_control(vehicle: str, kinds: Iterable[Kind]) -> dict[str, Any]:
     """Return `access_control` of a vehicle's router: everything inside, the cloud's rules mirrored on the uplink."""
     opposite: dict[Flow, Flow] = {"ingress": "egress", "egress": "ingress"}
-    mirror = [
-        replace(item, flow=opposite[item.flow])
-        for item in allowed_messages(Party(kind="vehicle", name=vehicle), kinds)
-    ]
+    party = Party(kind="vehicle", name=vehicle)
+    mirror = [replace(item, flow=opposite[item.flow]) for item in allowed_messages(party, kinds)]
     control = _Control()
     control.subject("inside", {"link_protocols": list(INSIDE)}, [_everything()])
     control.subject("cloud", {"link_protocols": list(OUTSIDE)}, _rules(mirror))

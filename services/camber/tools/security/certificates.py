@@ -114,25 +114,37 @@ class Authority:
         check_name(name)
         check_hosts(hosts)
         with self._changing() as known:
-            return self._issue(known, name, kind, hosts=hosts, days=days, now=now, renew=renew)
-
-    def _issue(
-        self,
-        known: list[IssuedCertificate],
-        name: str,
-        kind: Kind,
-        *,
-        hosts: Sequence[str],
-        days: float,
-        now: datetime,
-        renew: bool,
-    ) -> IssuedCertificate:
-        if kind == "router" and renew and not hosts:
-            hosts = hosts_of(read_certificate(self.folder / f"{name}.pem"))
-        if kind == "router" and not hosts:
-            raise CertsError(
-                f"{name}: a router's certificate needs the host names or addresses it is reached at"
+            if kind == "router" and renew and not hosts:
+                hosts = hosts_of(read_certificate(self.folder / f"{name}.pem"))
+            if kind == "router" and not hosts:
+                text = "a router's certificate needs the host names or addresses it is reached at"
+                raise CertsError(f"{name}: {text}")
+            common_name = self._common_name(known, name, kind, renew=renew)
+            authority, signing_key = self._signer()
+            until = authority.not_valid_after_utc
+            if until <= now:
+                raise CertsError(f"{self.folder / 'ca.pem'}: expired {_iso(until)}")
+            if all(row.name != name for row in known):
+                _must_be_free(self.folder / name)
+            key = ec.generate_private_key(ec.SECP256R1())
+            days = min(days, (until - now) / timedelta(days=1))
+            builder = _builder(common_name, issuer=authority.subject, key=key, now=now, days=days)
+            certificate = (
+                _with_extensions(builder, name, kind, hosts)
+                .add_extension(
+                    x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()),
+                    critical=False,
+                )
+                .sign(signing_key, hashes.SHA256())
             )
+            serial, end = f"{certificate.serial_number:x}", _iso(certificate.not_valid_after_utc)
+            row = IssuedCertificate(name=name, kind=kind, common_name=common_name, serial=serial, until=end)
+            self._save([*known, row])
+            _write_pair(self.folder / name, key, certificate)
+            return row
+
+    def _common_name(self, known: list[IssuedCertificate], name: str, kind: Kind, *, renew: bool) -> str:
+        """Return the common name of the next certificate of `name`; raises CertsError where there may be none."""
         of_name = [row for row in known if row.name == name]
         if any(row.kind != kind for row in of_name):
             raise CertsError(f"{name}: was issued as {of_name[-1].kind}, not as {kind}")
@@ -147,41 +159,7 @@ class Authority:
         common_name = name if not revoked else f"{name}+{len(revoked) + 1}"
         if any(row.common_name == common_name and row.name != name for row in known):
             raise CertsError(f"{common_name}: this common name is another's")
-        authority, signing_key = self._signer()
-        if authority.not_valid_after_utc <= now:
-            raise CertsError(f"{self.folder / 'ca.pem'}: expired {_iso(authority.not_valid_after_utc)}")
-        if not of_name:
-            _must_be_free(self.folder / name)
-        days = min(days, (authority.not_valid_after_utc - now) / timedelta(days=1))
-        key = ec.generate_private_key(ec.SECP256R1())
-        usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
-        if kind == "router":
-            usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
-        builder = (
-            _builder(common_name, issuer=authority.subject, key=key, now=now, days=days)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_key_usage(signs=False), critical=True)
-            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
-            .add_extension(
-                x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()), critical=False
-            )
-        )
-        # Strict verifiers require a subject alternative name in every certificate, also in a client's.
-        names = [_general_name(host) for host in hosts] or [
-            x509.UniformResourceIdentifier(f"urn:camber:{name}")
-        ]
-        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
-        certificate = builder.sign(signing_key, hashes.SHA256())
-        row = IssuedCertificate(
-            name=name,
-            kind=kind,
-            common_name=common_name,
-            serial=f"{certificate.serial_number:x}",
-            until=_iso(certificate.not_valid_after_utc),
-        )
-        self._save([*known, row])
-        _write_pair(self.folder / name, key, certificate)
-        return row
+        return common_name
 
     def revoke(self, name: str, *, now: datetime) -> list[IssuedCertificate]:
         """Mark all valid certificates of `name` as revoked; returns them."""
@@ -295,22 +273,31 @@ def _builder(
     )
 
 
+def _with_extensions(
+    builder: x509.CertificateBuilder, name: str, kind: Kind, hosts: Sequence[str]
+) -> x509.CertificateBuilder:
+    usages = [
+        ExtendedKeyUsageOID.CLIENT_AUTH,
+        *([ExtendedKeyUsageOID.SERVER_AUTH] if kind == "router" else []),
+    ]
+    # Strict verifiers require a subject alternative name in every certificate, also in a client's.
+    names = [_general_name(host) for host in hosts] or [x509.UniformResourceIdentifier(f"urn:camber:{name}")]
+    return (
+        builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+    )
+
+
 def _distinguished(name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
 
 
 def _key_usage(*, signs: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not signs,
-        key_cert_sign=signs,
-        crl_sign=signs,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
+    others = ("content_commitment", "key_encipherment", "data_encipherment", "key_agreement", "encipher_only")
+    unused = dict.fromkeys((*others, "decipher_only"), False)
+    return x509.KeyUsage(digital_signature=not signs, key_cert_sign=signs, crl_sign=signs, **unused)
 
 
 def _general_name(host: str) -> x509.GeneralName:

@@ -22,6 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from camber.runtime.tls import RENEW_BEFORE
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.security.certificates import (
     KINDS,
     Authority,
@@ -36,10 +37,8 @@ from camber.tools.security.certificates import (
     read_certificate,
 )
 
-DAYS, AUTHORITY_DAYS = (
-    30.0,
-    3650.0,
-)  # chosen: short, since Zenoh has no revocation lists; the authority ten years
+DAYS, AUTHORITY_DAYS = 30.0, 3650.0
+"""Chosen: short, since Zenoh has no revocation lists; the authority ten years."""
 _DAYS = number_from(0.001, 36_500.0, "days")
 
 
@@ -55,47 +54,39 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="camber certs", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser("camber certs", __doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    make = commands.add_parser("make", help="create an authority and a certificate for each name given")
-    make.set_defaults(work=_make)
-    make.add_argument("folder", type=Path, metavar="FOLDER")
+    make, issue, revoke, listing, show = (
+        commands.add_parser(name, help=text)
+        for name, text in (
+            ("make", "create an authority and a certificate for each name given"),
+            ("issue", "issue a certificate signed by the authority of the folder"),
+            ("revoke", "revoke all certificates of a name"),
+            ("list", "list the certificates issued"),
+            ("show", "print subject, issuer and validity of certificate files"),
+        )
+    )
+    show.set_defaults(work=_show)
+    show.add_argument("files", type=Path, nargs="+", metavar="FILE")
+    for command, work in ((make, _make), (issue, _issue), (revoke, _revoke), (listing, _list)):
+        command.set_defaults(work=work)
+        command.add_argument("folder", type=Path, metavar="FOLDER")
     make.add_argument("--name", default="Camber development", help="name of the authority")
     make.add_argument("--router", default="cloud", metavar="NAME", help="name of the cloud's router (cloud)")
-    make.add_argument(
-        "--host", action="append", required=True, help="host name or address of the router; repeatable"
-    )
+    text = "host name or address of a router; repeatable"
+    make.add_argument("--host", action="append", required=True, help=text)
     for kind in ("vehicle", "consumer", "judge", "operator"):
         make.add_argument(f"--{kind}", action="append", default=[], metavar="NAME", help="repeatable")
     make.add_argument("--authority-days", type=_DAYS, default=AUTHORITY_DAYS, metavar="DAYS")
-    issue = commands.add_parser("issue", help="issue a certificate signed by the authority of the folder")
-    issue.set_defaults(work=_issue)
-    issue.add_argument("folder", type=Path, metavar="FOLDER")
-    issue.add_argument("name", metavar="NAME")
+    for command in (issue, revoke):
+        command.add_argument("name", metavar="NAME")
     issue.add_argument("--kind", choices=KINDS, required=True)
     issue.add_argument(
-        "--host",
-        action="append",
-        default=[],
-        help="host name or address of a router; repeatable (with --renew default: unchanged)",
+        "--host", action="append", default=[], help=f"{text} (with --renew default: unchanged)"
     )
     issue.add_argument("--renew", action="store_true", help="replace the existing certificate")
     for command in (make, issue):
-        command.add_argument(
-            "--days", type=_DAYS, default=DAYS, help=f"validity of certificates (default {DAYS:.0f})"
-        )
-    revoke = commands.add_parser("revoke", help="revoke all certificates of a name")
-    revoke.set_defaults(work=_revoke)
-    revoke.add_argument("folder", type=Path, metavar="FOLDER")
-    revoke.add_argument("name", metavar="NAME")
-    listing = commands.add_parser("list", help="list the certificates issued")
-    listing.set_defaults(work=_list)
-    listing.add_argument("folder", type=Path, metavar="FOLDER")
-    show = commands.add_parser("show", help="print subject, issuer and validity of certificate files")
-    show.set_defaults(work=_show)
-    show.add_argument("files", type=Path, nargs="+", metavar="FILE")
+        add_with_default(command, "--days", DAYS, "validity of certificates", type=_DAYS)
     return parser
 
 
@@ -156,14 +147,16 @@ def _show(args: argparse.Namespace) -> int:
         left = certificate.not_valid_after_utc - now
         early = certificate.not_valid_before_utc > now
         good &= left > timedelta() and not early
-        print(f"{path}:")
-        print(f"  who    {common_name(certificate.subject)} ({_uses(certificate)})")
-        print(f"  by     {common_name(certificate.issuer)}")
+        not_yet = " NOT YET VALID" if early else ""
         print(
-            f"  from   {certificate.not_valid_before_utc.isoformat(' ')}{' NOT YET VALID' if early else ''}"
+            f"{path}:",
+            f"  who    {common_name(certificate.subject)} ({_uses(certificate)})",
+            f"  by     {common_name(certificate.issuer)}",
+            f"  from   {certificate.not_valid_before_utc.isoformat(' ')}{not_yet}",
+            f"  until  {certificate.not_valid_after_utc.isoformat(' ')}, {_state(left)}",
+            f"  serial {certificate.serial_number:x}",
+            sep="\n",
         )
-        print(f"  until  {certificate.not_valid_after_utc.isoformat(' ')}, {_state(left)}")
-        print(f"  serial {certificate.serial_number:x}")
         if hosts := hosts_of(certificate):
             print(f"  hosts  {', '.join(hosts)}")
     return 0 if good else 1
@@ -176,9 +169,8 @@ def _print_issued(folder: Path, row: IssuedCertificate) -> None:
 def _state(left: timedelta) -> str:
     if left <= timedelta():
         return "EXPIRED"
-    text = (
-        f"{left.days} days left" if left >= timedelta(days=2) else f"{left.total_seconds() / 3600:.1f} h left"
-    )
+    in_hours = left < timedelta(days=2)
+    text = f"{left.total_seconds() / 3600:.1f} h left" if in_hours else f"{left.days} days left"
     return f"{text}: renew it" if left < RENEW_BEFORE else text
 
 
@@ -191,7 +183,3 @@ def _uses(certificate: x509.Certificate) -> str:
     except x509.ExtensionNotFound:
         return "no extended key usage"
     return "client and server" if ExtendedKeyUsageOID.SERVER_AUTH in usage else "client"
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
