@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -34,6 +33,7 @@ from camber.tools.gnss.recording_summary import (
     PositionSummary,
     StatementSummary,
 )
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber gnss inspect"
 _MOST_PROBLEMS = 5  # chosen: what fits the report; all are counted
@@ -47,14 +47,20 @@ _COUNTERS_OF_RTCM = ("malformed", "not_read", "unknown_signals", "incomplete")
 
 def main(argv: Sequence[str]) -> int:
     """Print the content of a file; 0 success, 2 it cannot be read completely."""
-    args = _parser().parse_args(argv)
+    parser = tool_parser(_PROG, __doc__)
+    text = (
+        "RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos; may be compressed"
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--json", action="store_true", help="print the full report as JSON")
+    text = "a day within half a week of the recording, for RTCM, which does not contain the week"
+    parser.add_argument("--date", type=date.fromisoformat, metavar="YYYY-MM-DD", help=text)
+    args = parser.parse_args(argv)
     try:
         report = inspect_recording(args.file, args.date)
-    except FormatError as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {args.file}: {error.strerror or error}", file=sys.stderr)
+    except (FormatError, OSError) as error:
+        text = f"{args.file}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
+        print(f"{_PROG}: {text}", file=sys.stderr)
         return 2
     text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) if args.json else text_of(report)
     print(text)
@@ -70,13 +76,8 @@ def inspect_recording(path: Path, day: date | None = None) -> dict[str, Any]:
     `day` is near the recording, for protocols that do not say the week. Raises FormatError where nothing of the file
     can be read, OSError where it cannot be opened.
     """
-    near_ns = (
-        None
-        if day is None
-        else gps_ns_from_utc(
-            CalendarTime(year=day.year, month=day.month, day=day.day, hour=12, minute=0, second=0)
-        )
-    )
+    noon = None if day is None else CalendarTime(*day.timetuple()[:3], hour=12, minute=0, second=0)
+    near_ns = None if noon is None else gps_ns_from_utc(noon)
     recording = RecordingFile(path, near_ns, count_messages=True)
     content = _RecordingContent()
     for items in recording.items():
@@ -185,17 +186,12 @@ def _header(decoder: object) -> dict[str, Any] | None:
     header = decoder.header if isinstance(decoder, RinexDecoder) else None
     if header is None:
         return None
+    names = ("version", "marker", "receiver", "antenna", "position_ecef_m")
     return {
-        "version": header.version,
-        "marker": header.marker,
-        "receiver": header.receiver,
-        "antenna": header.antenna,
-        "position_ecef_m": header.position_ecef_m,
+        **{name: getattr(header, name) for name in names},
         "position": None if header.position_ecef_m is None else _geodetic(header.position_ecef_m),
         "antenna_height_east_north_m": header.delta_hen_m,
-        "interval_s": header.interval_s,
-        "leap_seconds": header.leap_seconds,
-        "time_system": header.time_system,
+        **{name: getattr(header, name) for name in ("interval_s", "leap_seconds", "time_system")},
     }
 
 
@@ -205,11 +201,8 @@ def _geodetic(ecef_m: tuple[float, float, float]) -> dict[str, float] | None:
         latitude_rad, longitude_rad, height_m = geodetic_from_ecef_scalar(*ecef_m)
     except ValueError:
         return None
-    return {
-        "latitude_deg": math.degrees(latitude_rad),
-        "longitude_deg": math.degrees(longitude_rad),
-        "height_m": height_m,
-    }
+    degrees = {"latitude_deg": math.degrees(latitude_rad), "longitude_deg": math.degrees(longitude_rad)}
+    return {**degrees, "height_m": height_m}
 
 
 def _counters(decoder: object) -> Iterator[tuple[str, int]]:
@@ -228,21 +221,3 @@ def _counters(decoder: object) -> Iterator[tuple[str, int]]:
         yield from ((f"ubx.{name}", getattr(decoder.ubx, name)) for name in _COUNTERS_OF_UBX)
         if decoder.rtcm is not None:
             yield from ((f"rtcm.{name}", getattr(decoder.rtcm, name)) for name in _COUNTERS_OF_RTCM)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument(
-        "file",
-        type=Path,
-        metavar="FILE",
-        help="RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos; may be compressed",
-    )
-    parser.add_argument("--json", action="store_true", help="print the full report as JSON")
-    parser.add_argument(
-        "--date",
-        type=date.fromisoformat,
-        metavar="YYYY-MM-DD",
-        help="a day within half a week of the recording, for RTCM, which does not contain the week",
-    )
-    return parser

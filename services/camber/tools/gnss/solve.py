@@ -7,14 +7,13 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.formats.drive.truth_csv import WRONG_M, read_truth
-from camber.formats.observations import Floats, Integers, ObservationEpoch
+from camber.formats.observations import Floats, ObservationEpoch
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.ellipsoid import geodetic_from_ecef
@@ -25,9 +24,10 @@ from camber.gnss.position.rtk_engine import Engine
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
-from camber.tools.gnss.solve_plot import solution_figure
+from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_drive, add_with_default, tool_parser
 from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.reference_trajectory import offset_of, truth_of
 
@@ -35,28 +35,6 @@ _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
 _SAME_TIME_NS = NS_PER_SECOND // 50
 """Chosen: receiver clocks differ by less; epochs of rover and base within this are of one time."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SolvedDrive:
-    """The engine's solution of every rover epoch, columns (n,).
-
-    `quality` is `fixed`, `float`, `single` or `none`; `position_ecef_m` (n, 3) and `covariance_ecef_m2` (n, 3, 3) are
-    NaN where that is `none`, `ratio` and `age_s` where there is none.
-    """
-
-    time_ns: Integers
-    quality: NDArray[np.str_]
-    continuity: NDArray[np.str_]
-    position_ecef_m: Floats
-    covariance_ecef_m2: Floats
-    satellites: Integers
-    ratio: Floats
-    age_s: Floats
-    reasons: Counter[str]
-    warnings: Counter[str]
-    epochs_per_s: float | None
-    """Without the first epoch, in which compiled code is loaded; None where there is no other."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -87,18 +65,10 @@ def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
     errors_m = _errors_m(manifest, solved, places)
     out.mkdir(parents=True, exist_ok=True)
     (out / "engine.pos").write_bytes(_pos_file(solved, places))
-    figure = solution_figure(
-        manifest.name,
-        time_ns=solved.time_ns,
-        geodetic=places,
-        quality=solved.quality,
-        satellites=solved.satellites,
-        ratio=solved.ratio,
-        least_ratio=options.least_ratio,
-    )
+    figure = solution_figure(manifest.name, solved, places, options.least_ratio)
     (out / "engine.svg").write_text(svg_text(figure), "utf-8")
-    lines = [_summary(manifest, recording, solved, errors_m=errors_m, out=out), *recording.notes]
-    return "\n".join(lines)
+    summary = _summary(manifest, recording, solved, errors_m=errors_m, out=out)
+    return "\n".join([summary, *recording.notes])
 
 
 def run_engine(
@@ -169,21 +139,18 @@ def _pos_file(solved: SolvedDrive, places: Floats) -> bytes:
         turn = LocalFrame(latitude_rad, longitude_rad, height_m).enu_from_ecef_rotation()
         enu = turn @ solved.covariance_ecef_m2[k] @ turn.T
         ratio, age_s = float(solved.ratio[k]), float(solved.age_s[k])
-        lines.append(
-            format_pos_line(
-                ReceiverSolution(
-                    time_ns=int(solved.time_ns[k]),
-                    latitude_rad=latitude_rad,
-                    longitude_rad=longitude_rad,
-                    height_m=height_m,
-                    quality=_QUALITIES[str(solved.quality[k])],
-                    satellites=int(solved.satellites[k]),
-                    covariance_enu_m2=(enu[0, 0], enu[0, 1], enu[0, 2], enu[1, 1], enu[1, 2], enu[2, 2]),
-                    age_s=None if math.isnan(age_s) else age_s,
-                    ratio=None if math.isnan(ratio) else ratio,
-                )
-            )
+        solution = ReceiverSolution(
+            time_ns=int(solved.time_ns[k]),
+            latitude_rad=latitude_rad,
+            longitude_rad=longitude_rad,
+            height_m=height_m,
+            quality=_QUALITIES[str(solved.quality[k])],
+            satellites=int(solved.satellites[k]),
+            covariance_enu_m2=(enu[0, 0], enu[0, 1], enu[0, 2], enu[1, 1], enu[1, 2], enu[2, 2]),
+            age_s=None if math.isnan(age_s) else age_s,
+            ratio=None if math.isnan(ratio) else ratio,
         )
+        lines.append(format_pos_line(solution))
     return b"".join(lines)
 
 
@@ -209,9 +176,7 @@ def _summary(
 ) -> str:
     n = len(solved.time_ns)
     counts = Counter(solved.quality.tolist())
-    shares = ", ".join(
-        f"{counts[q]:,} {q} ({counts[q] / n:.1%})" for q in ("fixed", "float", "single", "none")
-    )
+    shares = ", ".join(f"{counts[q]:,} {q} ({counts[q] / n:.1%})" for q in (*_QUALITIES, "none"))
     reasons = [(reason, count) for reason, count in solved.reasons.most_common() if reason != "resolved"]
     chain = Counter(solved.continuity[solved.quality == "fixed"].tolist())
     parts = [
@@ -245,65 +210,30 @@ def _counted(counts: Sequence[tuple[str, int]]) -> str:
 
 def _options(args: argparse.Namespace) -> EngineSettings:
     names = {"G": "gps_bands", "E": "galileo_bands", "C": "beidou_bands"}
-    unused = {name: "" for letter, name in names.items() if letter not in args.systems}
-    return EngineSettings().model_copy(
-        update={
-            **unused,
-            "lowest_elevation_deg": args.elevation_deg,
-            "least_cn0_dbhz": args.cn0_dbhz,
-            "least_ratio": args.ratio,
-            "partial": args.partial,
-        }
-    )
+    update: dict[str, Any] = {name: "" for letter, name in names.items() if letter not in args.systems}
+    update |= {"lowest_elevation_deg": args.elevation_deg, "least_cn0_dbhz": args.cn0_dbhz}
+    return EngineSettings().model_copy(update={**update, "least_ratio": args.ratio, "partial": args.partial})
 
 
 def _systems(text: str) -> str:
     letters = text.upper()
     if not set(letters) & set("GEC") or set(letters) - set("GJEC") or ("J" in letters and "G" not in letters):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}, expected letters of G (with QZSS), E (Galileo), C (BeiDou)"
-        )
+        expected = "letters of G (with QZSS), E (Galileo), C (BeiDou)"
+        raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
     return letters
 
 
 def _parser() -> argparse.ArgumentParser:
     default = EngineSettings()
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest with a table observations")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/solve"), metavar="DIR", help="output folder (default out/solve)"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
-    )
-    parser.add_argument(
-        "--ratio",
-        type=number_from(1.0, 1e3),
-        default=default.least_ratio,
-        help="threshold of the ratio test (default %(default)s)",
-    )
-    parser.add_argument(
-        "--elevation-deg",
-        type=number_from(0.0, 89.0),
-        default=default.lowest_elevation_deg,
-        help="elevation mask in degrees (default %(default)s)",
-    )
-    parser.add_argument(
-        "--cn0-dbhz",
-        type=number_from(0.0, 60.0),
-        default=default.least_cn0_dbhz,
-        help="C/N0 mask in dB-Hz (default %(default)s)",
-    )
-    parser.add_argument(
-        "--systems",
-        type=_systems,
-        default="GEC",
-        help="G (GPS with QZSS), E (Galileo), C (BeiDou); default %(default)s",
-    )
-    parser.add_argument(
-        "--partial",
-        action=argparse.BooleanOptionalAction,
-        default=default.partial,
-        help="partial ambiguity resolution where not all can be fixed",
-    )
+    parser = tool_parser(_PROG, __doc__)
+    add_drive(parser, "manifest with a table observations", out="out/solve")
+    for name, bounds, value, text in (
+        ("--ratio", (1.0, 1e3), default.least_ratio, "threshold of the ratio test"),
+        ("--elevation-deg", (0.0, 89.0), default.lowest_elevation_deg, "elevation mask in degrees"),
+        ("--cn0-dbhz", (0.0, 60.0), default.least_cn0_dbhz, "C/N0 mask in dB-Hz"),
+    ):
+        add_with_default(parser, name, value, text, type=number_from(*bounds))
+    add_with_default(parser, "--systems", "GEC", "G (GPS with QZSS), E (Galileo), C (BeiDou)", type=_systems)
+    text, both = "partial ambiguity resolution where not all can be fixed", argparse.BooleanOptionalAction
+    parser.add_argument("--partial", action=both, default=default.partial, help=text)
     return parser

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,17 +34,31 @@ _COLOURS = {"single": PALE, "float": AMBER, "fixed": PRIMARY}
 _LARGEST_RATIO = 1000.0  # end of the axis; larger ratios are drawn there
 
 
-def solution_figure(
-    name: str,
-    *,
-    time_ns: Integers,
-    geodetic: Floats,
-    quality: NDArray[np.str_],
-    satellites: Integers,
-    ratio: Floats,
-    least_ratio: float,
-) -> Figure:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SolvedDrive:
+    """The engine's solution of every rover epoch, columns (n,).
+
+    `quality` is `fixed`, `float`, `single` or `none`; `position_ecef_m` (n, 3) and `covariance_ecef_m2` (n, 3, 3) are
+    NaN where that is `none`, `ratio` and `age_s` where there is none.
+    """
+
+    time_ns: Integers
+    quality: NDArray[np.str_]
+    continuity: NDArray[np.str_]
+    position_ecef_m: Floats
+    covariance_ecef_m2: Floats
+    satellites: Integers
+    ratio: Floats
+    age_s: Floats
+    reasons: Counter[str]
+    warnings: Counter[str]
+    epochs_per_s: float | None
+    """Without the first epoch, in which compiled code is loaded; None where there is no other."""
+
+
+def solution_figure(name: str, solved: SolvedDrive, geodetic: Floats, least_ratio: float) -> Figure:
     """Figure of n epochs: `geodetic` (n, 3) is latitude, longitude [rad], height [m], NaN without a position."""
+    time_ns, quality = solved.time_ns, solved.quality
     since_s = (time_ns - time_ns.min()) * 1e-9
     east_north_m, height_m = _east_north_m(geodetic), geodetic[:, 2]
     # Positions good to decimetres set the scale where there are any, not those good to metres.
@@ -55,19 +71,18 @@ def solution_figure(
         number = {key: int((quality == key).sum()) for key in ("none", *_COLOURS)}
         draw_key(track, {f"{n:,} {key}": _COLOURS.get(key, "none") for key, n in number.items()})
         heights.set(title="height above the ellipsoid [m]", ylim=range_limits(height_m[leading], 0.5))
-        counts.set(title="satellites in the position", ylim=(0.0, 1.1 * max(satellites.max(initial=0), 10)))
+        counts.set(
+            title="satellites in the position", ylim=(0.0, 1.1 * max(solved.satellites.max(initial=0), 10))
+        )
         ratios.set(title="ratio of the ambiguity test")
         use_log_scale(ratios.yaxis, 1.0, _LARGEST_RATIO)
         ratios.axhline(least_ratio, color=RED, ls="--")
         ratios.set(xlim=(0.0, max(float(since_s.max()), 1.0)))
         ratios.set_xlabel(f"seconds since {time_text(int(time_ns.min()))} GPS time")
-        counted = np.where(quality == "none", np.nan, satellites)
+        counted = np.where(quality == "none", np.nan, solved.satellites)
         draw_dots(track, east_north_m[:, 0], east_north_m[:, 1], classes=quality, colours=_COLOURS)
-        for axes, values in (
-            (heights, height_m),
-            (counts, counted),
-            (ratios, np.clip(ratio, 1.0, _LARGEST_RATIO)),
-        ):
+        drawn_ratios = np.clip(solved.ratio, 1.0, _LARGEST_RATIO)
+        for axes, values in ((heights, height_m), (counts, counted), (ratios, drawn_ratios)):
             draw_dots(axes, since_s, values, classes=quality, colours=_COLOURS)
     return figure
 

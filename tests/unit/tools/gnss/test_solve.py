@@ -27,7 +27,7 @@ from camber.tools import simulate
 from camber.tools.gnss import solve as gnss_solve
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.solve import run_engine
-from camber.tools.gnss.solve_plot import solution_figure
+from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.validation.plots import svg_text
 from support.gnss_files import observation_text, read_navigation, read_observations, read_pos
 
@@ -350,15 +350,21 @@ def test_the_plot_has_a_key_with_the_number_of_each_quality(
 
 def plotted(geodetic: np.ndarray, quality: list[str], name: str = "x") -> Figure:
     n = len(quality)
-    return solution_figure(
-        name,
+    none = np.full((n, 3, 3), np.nan)
+    solved = SolvedDrive(
         time_ns=np.arange(n) * NS,
-        geodetic=geodetic,
         quality=np.array(quality),
+        continuity=np.full(n, "no_evidence"),
+        position_ecef_m=none[:, 0],
+        covariance_ecef_m2=none,
         satellites=np.full(n, 9),
         ratio=np.full(n, 5.0),
-        least_ratio=3.0,
+        age_s=np.zeros(n),
+        reasons=Counter(),
+        warnings=Counter(),
+        epochs_per_s=None,
     )
+    return solution_figure(name, solved, geodetic, 3.0)
 
 
 def test_epochs_without_a_position_are_not_drawn_and_names_are_plain_text() -> None:

@@ -90,8 +90,10 @@ def test_a_picture_says_when_how_and_what_each_layer_gave() -> None:
 
 def test_points_are_images_in_the_file_so_that_it_stays_small() -> None:
     svg = svg_text(match_figure("a", view(), start_ns=START_NS))
-    assert sum(element.tag.endswith("image") for element in ElementTree.fromstring(svg).iter()) >= 2
-    assert len(svg) < 600_000
+    images = [element for element in ElementTree.fromstring(svg).iter() if element.tag.endswith("image")]
+    above, side, colour_bar = (float(image.attrib["width"]) for image in images)
+    assert min(above, side) > 2.0 * colour_bar
+    assert len(svg) < 300_000
 
 
 def test_a_match_without_points_has_a_picture() -> None:
