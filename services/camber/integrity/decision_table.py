@@ -6,9 +6,10 @@ The judge runs exactly these rules; `camber.tools.generate_docs.decision_table` 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from camber.integrity.checks.chi2_test import CONTRADICTS
 from camber.integrity.checks.consistency import (
@@ -21,9 +22,12 @@ from camber.integrity.checks.consistency import (
     REASONS,
 )
 from camber.integrity.checks.fix_tests import FixTests
-from camber.integrity.epoch_inputs import ANTENNA_CHECKS, POSE_CHECKS, ROAD_CHECKS, InputCheck
+from camber.integrity.epoch_inputs import ANTENNA_CHECKS, POSE_CHECKS, ROAD_CHECKS, Check, EpochInputs
 from camber.integrity.judgement import FixJudgement
 from camber.schemas.integrity import Evidence, Reason, VerdictValue
+
+Condition = Callable[[FixTests], bool]
+Detail = Callable[[FixTests], str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,66 +37,56 @@ class DecisionRule:
     `compared`: the verdict rests on the comparison with pose and height model and publishes its figures.
     """
 
-    name: str
-    applies: Callable[[FixTests], bool]
-    outcome: VerdictValue
     reason: Reason
     explanation: str
-    detail: Callable[[FixTests], str] = lambda _: ""
+    applies: Condition
+    detail: Detail
+    outcome: VerdictValue = "unknown"
     evidence: Callable[[FixTests], tuple[Evidence, ...]] = lambda _: ()
     compared: bool = False
 
 
-def _lacks_input(check: InputCheck, tests: FixTests) -> bool:
-    return check.applies(tests.inputs, tests.fix.time_ns, tests.rules)
+def _rule(
+    reason: Reason, explanation: str, applies: Condition, detail: Detail = lambda _: "", **more: Any
+) -> DecisionRule:
+    return DecisionRule(reason=reason, explanation=explanation, applies=applies, detail=detail, **more)
 
 
-def _lacks_height_input(check: InputCheck, tests: FixTests) -> bool:
-    return tests.determination.asks_height and _lacks_input(check, tests)
+_compared = partial(_rule, compared=True)
 
 
-def _input_rules(
-    checks: Iterable[InputCheck], applies: Callable[[InputCheck, FixTests], bool]
-) -> tuple[DecisionRule, ...]:
-    return tuple(
-        DecisionRule(
-            name="input",
-            applies=partial(applies, check),
-            outcome="unknown",
-            reason=check.reason,
-            explanation=check.explanation,
-        )
-        for check in checks
+def _input_rule(check: Check[EpochInputs], *, for_height: bool) -> DecisionRule:
+    return _rule(
+        check.reason,
+        check.explanation,
+        lambda tests: (
+            (tests.determination.asks_height or not for_height)
+            and check.applies(tests.inputs, tests.fix.time_ns, tests.rules)
+        ),
     )
 
 
-def _has_outcome(outcome: int, tests: FixTests) -> bool:
-    return tests.outcome == outcome
-
-
-def _verified_rule(outcome: int, explanation: str) -> DecisionRule:
-    return DecisionRule(
-        name="verification",
-        applies=lambda tests: tests.outcome == outcome and bool(tests.verification),
+def _verified_rule(reason: Reason, explanation: str, applies: Condition, detail: Detail) -> DecisionRule:
+    return _compared(
+        reason,
+        f"{explanation}, and [other evidence](#verification) confirms the fix",
+        lambda tests: applies(tests) and bool(tests.verification),
+        detail,
         outcome="confirmed_after_verification",
-        reason=REASONS[outcome],
-        explanation=f"{explanation}, and [other evidence](#verification) confirms the fix",
-        detail=lambda tests: tests.detail,
         evidence=lambda tests: tests.verification,
-        compared=True,
     )
+
+
+def _has_outcome(outcome: int) -> Condition:
+    return lambda tests: tests.outcome == outcome
+
+
+def _figures(tests: FixTests) -> str:
+    return tests.detail
 
 
 def _failed_rule(outcome: int, verdict: VerdictValue, explanation: str) -> DecisionRule:
-    return DecisionRule(
-        name="consistency",
-        applies=partial(_has_outcome, outcome),
-        outcome=verdict,
-        reason=REASONS[outcome],
-        explanation=explanation,
-        detail=lambda tests: tests.detail,
-        compared=True,
-    )
+    return _compared(REASONS[outcome], explanation, _has_outcome(outcome), _figures, outcome=verdict)
 
 
 def _uncertain_model(tests: FixTests) -> str:
@@ -100,166 +94,134 @@ def _uncertain_model(tests: FixTests) -> str:
     return f"σ {tests.model_sigma_m:.2f} m of road and antenna, {most}"
 
 
+def _disagreeing_subset(tests: FixTests) -> str:
+    return "without one system its satellites are fixed elsewhere"
+
+
 def _evidence_for_confirmation(tests: FixTests) -> tuple[Evidence, ...]:
     return (*tests.evidence, "track") if tests.is_starting else tests.evidence
 
 
 TEST_RULES: tuple[DecisionRule, ...] = (
-    DecisionRule(
-        name="phase residuals",
-        applies=lambda tests: tests.has_contradictory_phases,
+    _rule(
+        "phase_residuals_contradict",
+        "its phases contradict its integers",
+        lambda tests: tests.has_contradictory_phases,
         outcome="erroneous",
-        reason="phase_residuals_contradict",
-        explanation="its phases contradict its integers",
     ),
-    DecisionRule(
-        name="receiver",
-        applies=lambda tests: bool(tests.receiver_warning),
-        outcome="unknown",
-        reason="receiver_warns",
-        explanation="the receiver warns of spoofing, critical jamming or failed RAIM, within the last 2 s",
-        detail=lambda tests: tests.receiver_warning,
+    _rule(
+        "receiver_warns",
+        "the receiver warns of spoofing, critical jamming or failed RAIM, within the last 2 s",
+        lambda tests: bool(tests.receiver_warning),
+        lambda tests: tests.receiver_warning,
     ),
-    DecisionRule(
-        name="continuity",
-        applies=lambda tests: tests.contradicts_confirmed_integers,
-        outcome="unknown",
-        reason="continuity_disagrees",
-        explanation="its integers contradict those of a fix confirmed within `series_gap_s`",
-        detail=lambda tests: f"other integers than those confirmed {tests.since_confirmed_s:.1f} s ago",
+    _rule(
+        "continuity_disagrees",
+        "its integers contradict those of a fix confirmed within `series_gap_s`",
+        lambda tests: tests.contradicts_confirmed_integers,
+        lambda tests: f"other integers than those confirmed {tests.since_confirmed_s:.1f} s ago",
     ),
-    *_input_rules(POSE_CHECKS, _lacks_input),
-    *_input_rules((*ANTENNA_CHECKS, *ROAD_CHECKS), _lacks_height_input),
-    DecisionRule(
-        name="datum",
-        applies=lambda tests: tests.has_datum_mismatch,
-        outcome="unknown",
-        reason="datum_mismatch",
-        explanation="fix and road are in different datums",
-        detail=lambda tests: f"fix {tests.fix.datum}, map {tests.pose.road.datum}",
+    *(_input_rule(check, for_height=False) for check in POSE_CHECKS),
+    *(_input_rule(check, for_height=True) for check in (*ANTENNA_CHECKS, *ROAD_CHECKS)),
+    _rule(
+        "datum_mismatch",
+        "fix and road are in different datums",
+        lambda tests: tests.has_datum_mismatch,
+        lambda tests: f"fix {tests.fix.datum}, map {tests.pose.road.datum}",
     ),
-    DecisionRule(
-        name="off the road",
-        applies=lambda tests: tests.is_off_road and not tests.contradicts_pose,
-        outcome="unknown",
-        reason="pose_too_uncertain",
-        explanation="beyond the planes of the map without contradicting the pose: the pose is too uncertain",
-        detail=lambda _: "the fix is beyond the surface's plane",
+    _rule(
+        "pose_too_uncertain",
+        "beyond the planes of the map without contradicting the pose: the pose is too uncertain",
+        lambda tests: tests.is_off_road and not tests.contradicts_pose,
+        lambda _: "the fix is beyond the surface's plane",
     ),
-    DecisionRule(
-        name="uncertain road",
-        applies=lambda tests: tests.has_uncertain_model and tests.has_uncertain_road,
-        outcome="unknown",
-        reason="road_unknown",
-        explanation="σ of road and antenna height above the largest tolerance, the road is worse known",
-        detail=_uncertain_model,
+    _rule(
+        "road_unknown",
+        "σ of road and antenna height above the largest tolerance, the road is worse known",
+        lambda tests: tests.has_uncertain_model and tests.has_uncertain_road,
+        _uncertain_model,
     ),
-    DecisionRule(
-        name="uncertain antenna height",
-        applies=lambda tests: tests.has_uncertain_model,
-        outcome="unknown",
-        reason="antenna_height_missing",
-        explanation="σ of road and antenna height above the largest tolerance, the antenna is worse known",
-        detail=_uncertain_model,
+    _rule(
+        "antenna_height_missing",
+        "σ of road and antenna height above the largest tolerance, the antenna is worse known",
+        lambda tests: tests.has_uncertain_model,
+        _uncertain_model,
     ),
-    DecisionRule(
-        name="invalid height",
-        applies=lambda tests: tests.has_invalid_model,
-        outcome="unknown",
-        reason="road_unknown",
-        explanation="the expected height is not a number",
-        detail=lambda _: "the height is not a number",
+    _rule(
+        "road_unknown",
+        "the expected height is not a number",
+        lambda tests: tests.has_invalid_model,
+        lambda _: "the height is not a number",
     ),
-    DecisionRule(
-        name="base station",
-        applies=lambda tests: tests.outcome != ALL_AGREE and tests.cause_here == "base",
-        outcome="unknown",
-        reason="common_offset",
-        explanation="a test below contradicts or is unverified, and all fixes have one common offset: base or datum",
-        detail=lambda tests: f"{REASONS[tests.outcome]}: {tests.detail}",
-        compared=True,
+    _compared(
+        "common_offset",
+        "a test below contradicts or is unverified, and all fixes have one common offset: base or datum",
+        lambda tests: tests.outcome != ALL_AGREE and tests.cause_here == "base",
+        lambda tests: f"{REASONS[tests.outcome]}: {tests.detail}",
     ),
-    _verified_rule(BOTH_CONTRADICT, "height and position contradict together, the position alone agrees"),
-    _verified_rule(HEIGHT_CONTRADICTS, "the height contradicts, the position agrees"),
-    _verified_rule(HEIGHT_UNVERIFIED, "the height is unverified, the position agrees"),
-    _verified_rule(POSITION_UNVERIFIED, "the position is unverified, the height agrees"),
+    *(
+        _verified_rule(REASONS[outcome], explanation, _has_outcome(outcome), _figures)
+        for outcome, explanation in (
+            (BOTH_CONTRADICT, "height and position contradict together, the position alone agrees"),
+            (HEIGHT_CONTRADICTS, "the height contradicts, the position agrees"),
+            (HEIGHT_UNVERIFIED, "the height is unverified, the position agrees"),
+            (POSITION_UNVERIFIED, "the position is unverified, the height agrees"),
+        )
+    ),
     _failed_rule(
         BOTH_CONTRADICT, "erroneous", "height and position contradict, each alone or only both together"
     ),
     _failed_rule(HEIGHT_CONTRADICTS, "erroneous", "the height contradicts"),
-    DecisionRule(
-        name="position of provisional pose",
-        applies=lambda tests: tests.outcome == POSITION_CONTRADICTS and tests.is_starting,
-        outcome="unknown",
-        reason="position_disagrees",
-        explanation="the position contradicts a pose that rests on unconfirmed fixes: fixes contradict one another",
-        detail=lambda tests: tests.detail,
-        compared=True,
+    _compared(
+        "position_disagrees",
+        "the position contradicts a pose that rests on unconfirmed fixes: fixes contradict one another",
+        lambda tests: tests.outcome == POSITION_CONTRADICTS and tests.is_starting,
+        _figures,
     ),
     _failed_rule(POSITION_CONTRADICTS, "erroneous", "the position contradicts the pose"),
-    _failed_rule(
-        HEIGHT_UNVERIFIED, "unknown", "the height is between agreement and contradiction, or beyond its cap"
+    *(
+        _failed_rule(
+            outcome, "unknown", f"the {part} is between agreement and contradiction, or beyond its cap"
+        )
+        for outcome, part in ((HEIGHT_UNVERIFIED, "height"), (POSITION_UNVERIFIED, "position"))
     ),
-    _failed_rule(
-        POSITION_UNVERIFIED,
-        "unknown",
-        "the position is between agreement and contradiction, or beyond its cap",
+    _verified_rule(
+        "subsets_disagree",
+        "a [subset](gnss.md#subsets-of-a-fix) of its satellites is fixed elsewhere, all else agrees",
+        lambda tests: tests.has_disagreeing_subset,
+        _disagreeing_subset,
     ),
-    DecisionRule(
-        name="subset, verified",
-        applies=lambda tests: tests.has_disagreeing_subset and bool(tests.verification),
-        outcome="confirmed_after_verification",
-        reason="subsets_disagree",
-        explanation="a [subset](gnss.md#subsets-of-a-fix) of its satellites is fixed elsewhere, all else agrees, "
-        "and [other evidence](#verification) confirms the fix",
-        detail=lambda _: "without one system its satellites are fixed elsewhere",
-        evidence=lambda tests: tests.verification,
-        compared=True,
+    _compared(
+        "subsets_disagree",
+        "a subset of its satellites is fixed elsewhere",
+        lambda tests: tests.has_disagreeing_subset,
+        _disagreeing_subset,
     ),
-    DecisionRule(
-        name="subset",
-        applies=lambda tests: tests.has_disagreeing_subset,
-        outcome="unknown",
-        reason="subsets_disagree",
-        explanation="a subset of its satellites is fixed elsewhere",
-        detail=lambda _: "without one system its satellites are fixed elsewhere",
-        compared=True,
+    _compared(
+        "height_unverified",
+        "no test in use supports the fix",
+        lambda tests: not tests.evidence,
+        lambda _: "nothing that is asked speaks for the fix",
     ),
-    DecisionRule(
-        name="no evidence",
-        applies=lambda tests: not tests.evidence,
-        outcome="unknown",
-        reason="height_unverified",
-        explanation="no test in use supports the fix",
-        detail=lambda _: "nothing that is asked speaks for the fix",
-        compared=True,
+    _compared(
+        "starting",
+        "the pose rests on unconfirmed fixes, and not enough of them agree yet",
+        lambda tests: tests.needs_more_fixes_to_start,
+        lambda tests: f"{tests.start.fixes} in a row agree, {tests.rules.start.fixes} are needed",
     ),
-    DecisionRule(
-        name="start",
-        applies=lambda tests: tests.needs_more_fixes_to_start,
-        outcome="unknown",
-        reason="starting",
-        explanation="the pose rests on unconfirmed fixes, and not enough of them agree yet",
-        detail=lambda tests: f"{tests.start.fixes} in a row agree, {tests.rules.start.fixes} are needed",
-        compared=True,
-    ),
-    DecisionRule(
-        name="confirmed",
-        applies=lambda tests: tests.determination.asks_height,
+    _compared(
+        "height_agrees",
+        "everything agrees",
+        lambda tests: tests.determination.asks_height,
         outcome="confirmed",
-        reason="height_agrees",
-        explanation="everything agrees",
         evidence=_evidence_for_confirmation,
-        compared=True,
     ),
-    DecisionRule(
-        name="confirmed without height",
-        applies=lambda _: True,
+    _compared(
+        "none",
+        "everything agrees, the height is not tested",
+        lambda _: True,
         outcome="confirmed",
-        reason="none",
-        explanation="everything agrees, the height is not tested",
         evidence=_evidence_for_confirmation,
-        compared=True,
     ),
 )
 

@@ -11,7 +11,7 @@ from camber.integrity.checks.fix_history import FixHistory
 from camber.integrity.checks.fix_sequence import FixSequence
 from camber.integrity.checks.fix_tests import FixTests, JudgeState
 from camber.integrity.decision_table import decide
-from camber.integrity.epoch_inputs import EpochInputs, unusable_fix
+from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
@@ -55,7 +55,7 @@ class Judge:
         """Return the judgement of a fix, None where it was judged before; `settle` it, or one that replaces it."""
         if self._fixes.register_once(fix):
             return None
-        reason = self._fixes.check_epoch(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
+        reason = self._fixes.check_arrival(fix, now_ns, self.rules)
         if reason is not None:
             return FixJudgement(fix=fix, verdict="unknown", reason=reason, testable=False)
         return self.examine(fix, alive)

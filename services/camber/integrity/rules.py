@@ -1,4 +1,4 @@
-"""By what the judge judges: all limits in one place, as the settings give them."""
+"""All parameters of the judge and of the positions it publishes; `settings.py` sets them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ from camber.integrity.checks.time_series import SeriesRules
 from camber.integrity.checks.verification import VerificationRules
 from camber.integrity.learning.height_correction import LearningRules
 from camber.integrity.protection.covariance_inflation import TrueSigma
+from camber.integrity.protection.position_bounds import LevelRules
 from camber.integrity.re_estimation.requests import ReEstimationRules
+from camber.schemas.channels import BY_NAME
+
+
+def _max_age_s(channel: str) -> float:
+    limit_s = BY_NAME[channel].max_age_s
+    assert limit_s is not None
+    return limit_s
+
 
 SAME_EPOCH_S = 0.02
 """A fix and a pose not further apart than this are of one epoch."""
@@ -27,11 +36,11 @@ class Rules:
     determination: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     pose_sigma_limit_m: float = 15.0
     fix_sigma_limit_m: float = 0.5
-    pose_max_age_s: float = 0.3
-    antenna_max_age_s: float = 2.0
-    fix_max_age_s: float = 0.5
-    motion_max_age_s: float = 0.5
-    receiver_max_age_s: float = 2.0
+    pose_max_age_s: float = _max_age_s("pose")
+    antenna_max_age_s: float = _max_age_s("antenna_height")
+    fix_max_age_s: float = _max_age_s("fix")
+    motion_max_age_s: float = _max_age_s("motion")
+    receiver_max_age_s: float = _max_age_s("receiver_integrity")
     future_limit_s: float = 0.5
     alert_limit_m: float = 1.5
     true_sigma: TrueSigma = field(default_factory=TrueSigma)
@@ -40,3 +49,4 @@ class Rules:
     series: SeriesRules = field(default_factory=SeriesRules)
     verification: VerificationRules = field(default_factory=VerificationRules)
     re_estimation: ReEstimationRules = field(default_factory=ReEstimationRules)
+    levels: LevelRules = field(default_factory=LevelRules)

@@ -51,7 +51,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._newest_ns = 0  # of all messages received
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was received
         self._schedule = PublishSchedule()
-        self._levels = settings.level_rules()
+        self._levels = self._rules.levels
         self._positions = PositionOutput(self._rules, self._levels)
         self._gnss = QueryBackoff()
         self._collector = UploadBatcher(settings.upload_every_s)

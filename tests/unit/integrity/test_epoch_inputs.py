@@ -1,14 +1,13 @@
 """What is missing for a verdict is named, the nearest to the cause first."""
 
-import math
 import typing
 
 import pytest
 
-from camber.integrity.epoch_inputs import EpochInputs, age_s, unusable_fix
+from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.rules import Rules
 from camber.schemas.pose import RoadReason
-from support.judging import ALL, antenna, at, fix, pose, road
+from support.judging import ALL, antenna, at, pose, road
 
 RULES = Rules()
 NO_COVARIANCE = (1.0, 2.0, 0.0, 1.0, 0.0, 0.0)
@@ -108,26 +107,3 @@ def test_a_pose_that_stands_needs_no_direction():
 def test_ages_count_forwards():
     assert age_s(at(0), at(1)) == pytest.approx(0.2)
     assert age_s(at(1), at(0)) == pytest.approx(-0.2)
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({}, None),
-        ({"quality": "float"}, "not_a_fix"),
-        ({"quality": "none"}, "not_a_fix"),
-        ({"covariance_enu_m2": None}, "fix_implausible"),
-        ({"covariance_enu_m2": (1.0, 2.0, 0.0, 1.0, 0.0, 0.0)}, "fix_implausible"),
-        ({"covariance_enu_m2": (0.26, 0.0, 0.0, 0.01, 0.0, 0.01)}, "fix_implausible"),
-        ({"covariance_enu_m2": (0.01, 0.0, 0.0, 0.01, 0.0, 0.26)}, "fix_implausible"),
-        ({"covariance_enu_m2": (0.24, 0.0, 0.0, 0.01, 0.0, 0.24)}, None),
-        ({"covariance_enu_m2": (0.0,) * 6}, None),
-    ],
-)
-def test_a_solution_that_claims_to_be_no_fix_is_not_judged(changes, reason):
-    assert unusable_fix(fix(**changes), RULES) == reason
-
-
-def test_a_claim_of_no_number_is_no_fix():
-    claimed = fix().model_copy(update={"covariance_enu_m2": (math.nan, 0.0, 0.0, 0.01, 0.0, 0.01)})
-    assert unusable_fix(claimed, RULES) == "fix_implausible"
