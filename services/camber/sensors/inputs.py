@@ -10,35 +10,17 @@ from camber.formats.errors import FormatError
 from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 
 T = TypeVar("T", bound=TimedItem)
-_PAUSE_NS = 10_000_000_000  # what comes so much later was recorded after a pause, or a clock was set
+_PAUSE_NS = 10_000_000_000  # chosen: what comes so much later was recorded after a pause, or a clock was set
 _LOST = ("skipped_truncated", "skipped_fragment")
 
 
 def gps_ns(unix_ns: int) -> int:
-    """GPS time of a machine's clock; zero where that is before 1980, which nobody takes."""
+    """GPS time of a machine's clock; zero where that is before 1980."""
     return gps_ns_from_unix_ns(max(unix_ns, UNIX_OF_GPS_EPOCH_NS))
 
 
-class Input(Protocol[T]):
-    """`issues` are those of the last call; `shift_ns` is to be added to the times of what is made of the items."""
-
-    issues: list[tuple[str, str]]
-    counts: Counter[str]
-    shift_ns: int
-
-    def take(self, now_ns: int) -> list[T]:
-        """What has come by this GPS time."""
-
-    @property
-    def ended(self) -> bool:
-        """Nothing more will come."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
-class Port(Protocol[T]):
-    """An open port, or one that says why it is not."""
+class PortOf(Protocol[T]):
+    """An open port, or one that has the reason why it is not."""
 
     problem: str | None
     lost: int
@@ -50,49 +32,60 @@ class Port(Protocol[T]):
         """Close it."""
 
 
-class Live(Generic[T]):
-    """A port; its troubles are called after it."""
+class Input(Generic[T]):
+    """`issues` are those of the last call; `shift_ns` is to be added to the times of what is made of the items."""
 
-    shift_ns = 0
-    ended = False
-
-    def __init__(self, name: str, port: Port[T]) -> None:
+    def __init__(self, name: str) -> None:
         self.issues: list[tuple[str, str]] = []
         self.counts: Counter[str] = Counter()
-        self._name, self._port = name, port
+        self.shift_ns = 0
+        self.ended = False
+        self._name = name
+
+    def take(self, now_ns: int) -> list[T]:
+        """What has come by this GPS time."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Close it."""
+        raise NotImplementedError
+
+
+class Live(Input[T]):
+    """A port; its issues are named after it."""
+
+    def __init__(self, name: str, port: PortOf[T]) -> None:
+        super().__init__(name)
+        self._port = port
         self._problem: str | None = None
 
     def take(self, now_ns: int) -> list[T]:
         """What has come by now."""
-        found = self._port.take()
+        items = self._port.take()
         self.issues = []
         if self._port.problem is not None and self._port.problem != self._problem:
             self.issues.append((f"{self._name}_port", self._port.problem))
         self._problem = self._port.problem
-        if self._port.lost > self.counts["lost_in_kernel"]:
-            lost = self._port.lost - self.counts["lost_in_kernel"]
-            self.issues.append(
-                (f"{self._name}_too_fast", f"{lost} packets came while the kernel's buffer was full")
-            )
+        lost = self._port.lost - self.counts["lost_in_kernel"]
+        if lost > 0:
+            text = f"{lost} packets came while the kernel's buffer was full"
+            self.issues.append((f"{self._name}_too_fast", text))
             self.counts["lost_in_kernel"] = self._port.lost
-        return found
+        return items
 
     def close(self) -> None:
         """Close the port."""
         self._port.close()
 
 
-class Played(Generic[T]):
-    """A recording at the pace of the clock, from when `start` was called; its damages are called after it."""
+class Played(Input[T]):
+    """A recording at the pace of the clock, from when `start` was called; its issues are named after it."""
 
     def __init__(self, name: str, file: TimedFile[T]) -> None:
-        self.issues: list[tuple[str, str]] = []
-        self.counts: Counter[str] = Counter()
-        self.shift_ns = 0
-        self._name, self._file = name, file
-        self._ahead_ns: int | None = None
-        self._told = False
-        self._found_any = False
+        super().__init__(name)
+        self._file = file
+        self._ahead_ns = 0
+        self._has_any = False
 
     def first_ns(self) -> int | None:
         """GPS time of what comes next."""
@@ -110,45 +103,39 @@ class Played(Generic[T]):
         first_ns = self.first_ns()
         if first_ns is None:
             return 0
-        step_ns = first_ns - (now_ns - (self._ahead_ns or 0))
+        step_ns = first_ns - (now_ns - self._ahead_ns)
         return step_ns if step_ns > _PAUSE_NS or self._file.steps_back else 0
 
     def take(self, now_ns: int) -> list[T]:
         """What was recorded by the moment that is played now."""
         self.issues = []
-        found: list[T] = []
+        items: list[T] = []
         # The pace is that of GPS time: a recording over a leap second is a second late, and no more.
-        until_ns = now_ns - (self._ahead_ns or 0) + UNIX_OF_GPS_EPOCH_NS - self._leaps_ns()
-        for item in self._file.due(until_ns):
+        for item in self._file.due(now_ns - self._ahead_ns + UNIX_OF_GPS_EPOCH_NS - self._leaps_ns()):
             if isinstance(item, FormatError):
                 self.counts["damaged"] += 1
                 self.issues.append((f"{self._name}_recording", str(item)))
             else:
-                found.append(item)
-        self._found_any = self._found_any or bool(found)
-        ends = self._file.ended and not self._told
-        self._look_at_skipped(ends and not self._found_any)
+                items.append(item)
+        self._has_any = self._has_any or bool(items)
+        ends = self._file.ended and not self.ended
+        self._check_skipped(ends and not self._has_any)
         if ends:
-            self._told = True
             self.issues.append((f"{self._name}_ended", "the recording has been played to its end"))
-        return found
+        self.ended = self._file.ended
+        return items
 
-    def _look_at_skipped(self, nothing_came: bool) -> None:
+    def _check_skipped(self, nothing_came: bool) -> None:
         skipped = Counter({f"skipped_{reason}": n for reason, n in self._file.skipped.items()})
         if nothing_came or any(skipped[name] > self.counts[name] for name in _LOST):
-            words = ", ".join(f"{n} {reason}" for reason, n in self._file.skipped.items()) or "nothing"
-            error = FormatError(self._file.name, "skipped", "whole datagrams or data frames", actual=words)
+            actual = ", ".join(f"{n} {reason}" for reason, n in self._file.skipped.items()) or "nothing"
+            error = FormatError(self._file.name, "skipped", "whole datagrams or data frames", actual=actual)
             self.issues.append((f"{self._name}_recording", str(error)))
         self.counts |= skipped
 
     def _leaps_ns(self) -> int:
         first = self._file.first_ns()
         return 0 if first is None else gps_ns(first) + UNIX_OF_GPS_EPOCH_NS - max(first, UNIX_OF_GPS_EPOCH_NS)
-
-    @property
-    def ended(self) -> bool:
-        """All of it has been handed out."""
-        return self._file.ended
 
     def close(self) -> None:
         """Close the file."""

@@ -1,4 +1,4 @@
-"""A LiDAR's packets as they arrived → its sweeps in GPS time, and what was amiss with them."""
+"""A LiDAR's packets as they arrived → its sweeps in GPS time, and the issues with them."""
 
 from __future__ import annotations
 
@@ -12,25 +12,16 @@ from camber.schemas.lidar import Sweep
 from camber.sensors.sensor_clock import SensorClock
 from camber.sensors.sweep_assembly import SweepCutter
 
-ISSUES = {
-    "size": "lidar_packets",
-    "flag": "lidar_packets",
-    "mode": "lidar_packets",
-    "stamp": "lidar_packets",
-    "azimuth": "lidar_packets",
-    "type": "lidar_packets",
-    "empty": "lidar_packets",
-    "model": "lidar_model",
-    "turn": "lidar_model",
-}
+ISSUES = dict.fromkeys(("size", "flag", "mode", "stamp", "azimuth", "type", "empty"), "lidar_packets")
+ISSUES |= dict.fromkeys(("model", "turn"), "lidar_model")
 """Why a packet is refused → the issue under which health names it."""
-_GONE_NS = 2_000_000_000  # a sender that was silent for so long may have another address now
+_GONE_NS = 2_000_000_000  # chosen: a sender that was silent for so long may have another address now
 
 
 class LidarReader:
     """One sensor. `issues` are those of the last call: code and text.
 
-    Two sensors of one model cannot be told apart by their packets: those of one sender are read, and no others.
+    Two sensors of one model cannot be distinguished by their packets: those of one sender are read, and no others.
     """
 
     def __init__(self, sensor: str, decoder: LidarDecoder, clock: SensorClock, least_share: float) -> None:
@@ -55,9 +46,8 @@ class LidarReader:
         self.counts["packets.read"] += len(payloads)
         for reason, n in decoded.refused.items():
             self.counts[f"packets.refused_{reason}"] += n
-        for code, words in sorted((ISSUES[reason], words) for reason, words in decoded.details.items()):
-            self.issues.append((code, words))
-        self._look_for_a_start(decoded)
+        self.issues += sorted((ISSUES[reason], text) for reason, text in decoded.details.items())
+        self._check_session(decoded)
         sweeps: list[Sweep] = []
         for first, times in self._runs(decoded, arrivals_ns):
             if first:
@@ -78,7 +68,7 @@ class LidarReader:
     def _count(self) -> None:
         self.counts.update({name: n - self.counts[name] for name, n in self._cutter.counts.items()})
 
-    def _look_for_a_start(self, decoded: Decoded) -> None:
+    def _check_session(self, decoded: Decoded) -> None:
         if decoded.session is None or decoded.session == self._session:
             return
         if self._session is not None:
@@ -109,7 +99,7 @@ class LidarReader:
         return runs
 
     def _of_its_sender(self, arrivals_ns: Sequence[int], senders: Sequence[str]) -> list[int]:
-        """Which packets are read: those of the first sender; of another, once none of that has been of use for long."""
+        """Which packets are read: those of the first sender; of another, once that has been of no use for long."""
         kept: list[int] = []
         others: set[str] = set()
         used_ns = self._used_ns
@@ -123,8 +113,8 @@ class LidarReader:
                 others.add(sender)
         self.counts["packets.of_others"] += len(arrivals_ns) - len(kept)
         for sender in sorted(others):
-            words = f"packets from {sender} too, beside those of {self._sender}: set sender"
-            self.issues.append(("lidar_packets", words))
+            text = f"packets from {sender} too, not only of {self._sender}: set sender"
+            self.issues.append(("lidar_packets", text))
         return kept
 
     def _filled_ns(self, decoded: Decoded) -> Int64:

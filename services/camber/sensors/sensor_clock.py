@@ -1,7 +1,7 @@
 """When a packet was measured, in GPS time, from its stamp by the sensor's clock and from when it arrived.
 
-The scale of the stamps is told, never guessed. What comes out is compared with the time of arrival: a sensor that is
-not what it was said to be is refused, with what its distance from the machine's clock looks like.
+The scale of the stamps is set, never guessed. The result is compared with the time of arrival: a sensor that is not as
+set is refused, with what its distance from the machine's clock looks like.
 """
 
 from __future__ import annotations
@@ -18,24 +18,26 @@ from camber.geodesy.gps_time import (
 
 TimeScale = Literal["utc_hour", "utc", "tai", "gps", "arrival"]
 """utc_hour: since the hour of UTC. utc, tai, gps: since 1970, as computers count UTC, as PTP counts TAI, as GPS time
-without leap seconds. arrival: from whenever it was switched on; then the quickest packets tell its offset."""
+without leap seconds. arrival: from whenever it was switched on; then the quickest packets give its offset."""
 
 _HOUR_NS = 3600 * NS_PER_SECOND
-_TAI_AHEAD_NS = 19 * NS_PER_SECOND  # of GPS time, since ever
+_TAI_AHEAD_NS = 19 * NS_PER_SECOND  # of GPS time, a constant
 _JUMP_NS = (
-    50_000_000  # by which stamps and arrivals part from one packet to the next only where a clock was set
+    50_000_000  # chosen: by more, stamps and arrivals part between two packets only where a clock was set
 )
 _QUICKEST_OF_NS = 10 * NS_PER_SECOND
-_LATER_NS = 5_000_000  # by which even the quickest of two seconds are later only where a clock was set
+_LATER_NS = (
+    5_000_000  # chosen: by which even the quickest of two seconds are later only where a clock was set
+)
 _LOOKS_LIKE = {
-    18: "18 s: the stamps are UTC and were said to be GPS time, or the other way round",
-    19: "19 s: the stamps are TAI and were said to be GPS time, or the other way round",
-    37: "37 s: the stamps are TAI (PTP) and were said to be UTC, or the other way round",
+    18: "18 s: the stamps are UTC and were set to be GPS time, or the other way round",
+    19: "19 s: the stamps are TAI and were set to be GPS time, or the other way round",
+    37: "37 s: the stamps are TAI (PTP) and were set to be UTC, or the other way round",
 }
 
 
 class SensorClock:
-    """`offset_ns` is added to what the stamps say; further than `limit_ns` from the arrival is refused."""
+    """`offset_ns` is added to the stamps; further than `limit_ns` from the arrival is refused."""
 
     def __init__(self, scale: TimeScale, offset_ns: int, limit_ns: int) -> None:
         self._scale: TimeScale = scale
@@ -58,35 +60,33 @@ class SensorClock:
         machine's; else it is empty.
         """
         self.jump = ""
-        said_ns = self._of_stamp(stamp_ns, arrival_ns)
-        if said_ns is None:
+        stamped_ns = self._of_stamp(stamp_ns, arrival_ns)
+        if stamped_ns is None:
             return None
         if self._last is not None:
             since_ns = arrival_ns - self._last[1]
-            moved_ns = (said_ns - self._last[0]) - since_ns
+            moved_ns = (stamped_ns - self._last[0]) - since_ns
             if self._scale == "arrival" and abs(abs(moved_ns) - _HOUR_NS) <= _JUMP_NS:
                 # A Velodyne counts the hour: it began anew, or a packet from before that has come late.
                 hour_ns = -_HOUR_NS if moved_ns > 0 else _HOUR_NS
                 self._hours_ns += hour_ns
-                said_ns += hour_ns
+                stamped_ns += hour_ns
                 moved_ns += hour_ns
-            # By whole hours it can be set back without the two moving apart: the hour is told by the arrival.
+            # By whole hours it can be set back without the two moving apart: the hour follows from the arrival.
             if abs(moved_ns) > _JUMP_NS or since_ns < -_JUMP_NS:
-                self.jump = (
-                    _moved_apart(moved_ns)
-                    if abs(moved_ns) > _JUMP_NS
-                    else f"this machine's clock was set back by {-since_ns / 1e9:.3f} s"
-                )
+                self.jump = f"this machine's clock was set back by {-since_ns / 1e9:.3f} s"
+                if abs(moved_ns) > _JUMP_NS:
+                    self.jump = _moved_apart(moved_ns)
                 self._quickest = _Quickest()
-        self._last = (said_ns, arrival_ns)
+        self._last = (stamped_ns, arrival_ns)
         if self._scale == "arrival":
-            delay_ns = self._quickest.least_ns(arrival_ns - said_ns, arrival_ns)
+            delay_ns = self._quickest.least_ns(arrival_ns - stamped_ns, arrival_ns)
             if self._quickest.later_by_ns and not self.jump:
                 self.jump = _moved_apart(-self._quickest.later_by_ns)
-            return said_ns + delay_ns + self._offset_ns
-        time_ns = said_ns + self._offset_ns
+            return stamped_ns + delay_ns + self._offset_ns
+        time_ns = stamped_ns + self._offset_ns
         if abs(time_ns - arrival_ns) > self._limit_ns:
-            self.refusal = _words(time_ns - arrival_ns, self._scale)
+            self.refusal = _refusal(time_ns - arrival_ns, self._scale)
             return None
         return time_ns
 
@@ -118,7 +118,7 @@ class _Quickest:
         self.later_by_ns = 0
 
     def least_ns(self, delay_ns: int, arrival_ns: int) -> int:
-        """`later_by_ns` is by how much those are later, once, when that is found; else zero."""
+        """`later_by_ns` is by how much those are later, once, when that is noticed; else zero."""
         seconds, self.later_by_ns = self._seconds, 0
         if seconds and 0 <= arrival_ns - seconds[-1][0] < NS_PER_SECOND:
             seconds[-1] = (seconds[-1][0], min(seconds[-1][1], delay_ns))
@@ -144,7 +144,7 @@ def _moved_apart(moved_ns: int) -> str:
     return f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
 
 
-def _words(apart_ns: int, scale: TimeScale) -> str:
+def _refusal(apart_ns: int, scale: TimeScale) -> str:
     apart_s = apart_ns / 1e9
     text = f"stamps read as {scale} are {apart_s:+.3f} s from this machine's clock"
     looks = _LOOKS_LIKE.get(round(abs(apart_s))) if abs(abs(apart_s) - round(abs(apart_s))) < 0.5 else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from typing import TypeVar
 
 from camber.formats.drive.timed_file import TimedFile
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame
@@ -12,14 +13,17 @@ from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
 from camber.schemas.motion import Suspension
-from camber.sensors.can_motion import said_in
+from camber.sensors.can_motion import quantities_in
 from camber.sensors.inputs import Input, Live, Played, gps_ns
-from camber.sensors.settings import SensorsSettings, can_source, lidar_source
+from camber.sensors.settings import SensorsSettings
+from camber.sensors.sources import can_source, lidar_source
 from camber.transport.packet_ports import CanPort, UdpPort
+
+P = TypeVar("P", Played[Datagram], Played[CanFrame])
 
 
 class SensorsService(Service[SensorsSettings]):
-    """What arrives is published as soon as it is whole; what is amiss is counted and named."""
+    """What arrives is published as soon as it is whole; errors are counted and reported as issues."""
 
     NAME = "sensors"
     SETTINGS = SensorsSettings
@@ -32,12 +36,12 @@ class SensorsService(Service[SensorsSettings]):
         self._lidar = None if self._packets is None else settings.lidar.reader()
         self._can = None if self._frames is None else settings.can.reader()
         self._sweeps_ended = False
-        self._named_silent: frozenset[str] = frozenset()
+        self._reported_silent: frozenset[str] = frozenset()
         self._bus_name = settings.can.bus  # of frames; unset: that of the first one
         self._start_playing(bus.now_ns())
         expected = [] if self._lidar is None else ["sweep"]
         expected += [] if self._can is None else self._can.quantities
-        # By a clock that nobody sets: who is silent stays so when this machine's is set back.
+        # By a clock that is never set: a silent input stays so when this machine's clock is set back.
         self._given_s = dict.fromkeys(expected, time.monotonic())
 
     def _open_lidar(self) -> Input[Datagram] | None:
@@ -46,9 +50,7 @@ class SensorsService(Service[SensorsSettings]):
         where = lidar_source(self.settings.lidar.source)
         if where[0] == "udp":
             return Live("lidar", UdpPort(where[1], where[2]))
-        played = Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name)))
-        self._played.append(played)
-        return played
+        return self._kept(Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name))))
 
     def _open_can(self) -> Input[CanFrame] | None:
         if self.settings.can.source is None:
@@ -56,7 +58,9 @@ class SensorsService(Service[SensorsSettings]):
         where = can_source(self.settings.can.source)
         if where[0] == "socketcan":
             return Live("can", CanPort(where[1]))
-        played = Played("can", TimedFile(where[1], CandumpDecoder(where[1].name)))
+        return self._kept(Played("can", TimedFile(where[1], CandumpDecoder(where[1].name))))
+
+    def _kept(self, played: P) -> P:
         self._played.append(played)
         return played
 
@@ -75,9 +79,8 @@ class SensorsService(Service[SensorsSettings]):
             for sweep in self._lidar.finish():
                 self._give("sweep", sweep, self._packets.shift_ns)
         self._start_playing(now_ns)
-        self.bus.issue(
-            "recording_stepped", f"the recording goes on {steps_ns[0] / 1e9:+.3f} s from where it was"
-        )
+        text = f"the recording goes on {steps_ns[0] / 1e9:+.3f} s from where it was"
+        self.bus.issue("recording_stepped", text)
 
     def advance(self, now_ns: int) -> None:
         """Read what has come, publish what is whole."""
@@ -86,7 +89,7 @@ class SensorsService(Service[SensorsSettings]):
             self._work_lidar(now_ns)
         finally:  # a fault in the one is none in the other
             self._work_can(now_ns)
-            self._name_silent()
+            self._report_silent()
 
     def healthy(self) -> bool:
         """Does every input give something?"""
@@ -96,12 +99,12 @@ class SensorsService(Service[SensorsSettings]):
         since_s = time.monotonic() - self.settings.silence_s
         return frozenset(what for what, given_s in self._given_s.items() if given_s < since_s)
 
-    def _name_silent(self) -> None:
+    def _report_silent(self) -> None:
         silent = self._silent()
-        for what in sorted(silent - self._named_silent):
+        for what in sorted(silent - self._reported_silent):
             name = "lidar" if what == "sweep" else "can"
             self.bus.issue("sensor_silent", f"{name}: no {what} for {self.settings.silence_s:g} s")
-        self._named_silent = silent
+        self._reported_silent = silent
 
     def close(self) -> None:
         """Close ports and files."""
@@ -113,14 +116,14 @@ class SensorsService(Service[SensorsSettings]):
         if self._packets is None or self._lidar is None or self._sweeps_ended:
             return
         settings = self.settings.lidar
-        found = self._packets.take(now_ns)
+        received = self._packets.take(now_ns)
         packets = [
             one
-            for one in found
+            for one in received
             if (settings.sender is None or one.source == settings.sender)
             and (self._packets not in self._played or one.port == settings.udp_port())
         ]
-        self._lidar.counts["packets.of_others"] += len(found) - len(packets)
+        self._lidar.counts["packets.of_others"] += len(received) - len(packets)
         sweeps = self._lidar.take(
             [one.payload for one in packets],
             [gps_ns(one.time_ns) for one in packets],
@@ -151,15 +154,15 @@ class SensorsService(Service[SensorsSettings]):
                 channel = "suspension" if isinstance(message, Suspension) else "motion"
                 self._give(channel, message, self._frames.shift_ns)
         if others and settings.bus is None:
-            words = f"frames of {', '.join(sorted(others))} beside those of {self._bus_name}: set bus"
-            self.bus.issue("can_recording", words)
+            names = ", ".join(sorted(others))
+            self.bus.issue("can_recording", f"frames of {names}, not only of {self._bus_name}: set bus")
         self._report("can", self._frames.issues, {**self._frames.counts, **self._can.counts})
 
     def _give(self, channel: str, message: Message, shift_ns: int) -> None:
         if shift_ns:
             message = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
-        said = ["sweep"] if channel == "sweep" else said_in(message)
-        self._given_s.update(dict.fromkeys(said, time.monotonic()))
+        names = ["sweep"] if channel == "sweep" else quantities_in(message)
+        self._given_s.update(dict.fromkeys(names, time.monotonic()))
         self.bus.publish(channel, message)
 
     def _report(self, name: str, issues: list[tuple[str, str]], counts: Mapping[str, int]) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 from camber.formats.lidar_can.firings import Firings, Float64, Int32, Int64, joined
 from camber.schemas.lidar import Sweep
 
-_SETTLES_NS = 3_000_000  # so long the first packets of a turn wait for the last ones of the turn before
-_PAUSE_NS = 40_000_000  # after a longer one nobody knows whether the seam was in it
-_BACK = 0.1  # of a turn: sensors do not turn backwards
-_LONGEST_NS = 1_000_000_000  # nothing turns so slowly
-_SECTOR = 1.0 / 24.0  # of a turn: what lacks there in every turn was not measured, and is not lost
+_SETTLES_NS = (
+    3_000_000  # chosen: so long the first packets of a turn wait for the last ones of the turn before
+)
+_PAUSE_NS = 40_000_000  # chosen: after a longer one the seam may have been in it
+_BACK = 0.1  # chosen: of a turn: sensors do not turn backwards
+_LONGEST_NS = 1_000_000_000  # chosen: nothing turns so slowly
+_SECTOR = 1.0 / 24.0  # chosen: of a turn: what lacks there in every turn was not measured, and is not lost
 
 _Part = tuple[float, float]
 """Of turns: where it begins, how much it is."""
@@ -42,7 +44,7 @@ class SweepCutter:
         self._done_ns: int | None = None
         self._done_turn = 0.0
         self._of_packet = 1
-        # Of the last two turns; before them nobody knows what is measured.
+        # Of the last two turns; before them it is unknown what is measured.
         self._lacking: deque[list[_Part]] = deque([[(0.0, 1.0)]] * 2, maxlen=2)
 
     def add(self, time_ns: Int64, firings: Firings) -> list[Sweep]:

@@ -140,7 +140,7 @@ def drive_uploads(
     errors: FleetErrors,
     seed: int,
 ) -> Iterator[UploadBatch]:
-    """What one drive of one vehicle uploads, in batches of ROWS records. `number` tells its drives apart."""
+    """What one drive of one vehicle uploads, in batches of ROWS records. `number` is that of its drive."""
     rng = stream(seed, f"fleet {vehicle.name} {number}")
     n = math.floor(duration_s * rate_hz)
     step_s = np.full(n, 1.0 / rate_hz)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
 from camber.formats.lidar_can.dbc import read_dbc
 from camber.schemas.motion import Motion, Suspension
-from camber.sensors.can_motion import CanMotion, SignalError, SignalUse
+from camber.sensors.can_motion import CanMotion, CanSettings, SignalError, SignalSettings
 from camber.sensors.inputs import gps_ns
 from camber.simulator.output.can_frames import DBC, INVALID, STEERING_RATIO, can_frames
 from camber.simulator.vehicle.sensor_clock import Readings
@@ -17,14 +18,20 @@ from camber.simulator.vehicle.sensor_messages import motion_messages
 from camber.simulator.vehicle.sensors import VehicleReadings
 
 MESSAGES = read_dbc(DBC, "can.dbc")
-USES = {
-    "wheel_speed": SignalUse("Wheels.Speed", "km/h", (INVALID,)),
-    "yaw_rate": SignalUse("Dynamics.YawRate", "deg/s", (INVALID,)),
-    "steering_angle": SignalUse("Steering.WheelAngle", "deg", (INVALID,), 1.0 / STEERING_RATIO),
-    "pitch": SignalUse("Attitude_Pitch.NoseUp", "deg", (INVALID,), -1.0),
-    "roll": SignalUse("Attitude_Roll.LeftUp", "deg", (INVALID,)),
-    "stroke_height": SignalUse("Suspension.Height", "mm", (INVALID,)),
-}
+
+
+def use(signal: str, unit: Any, *invalid: int, scale: float = 1.0) -> SignalSettings:
+    return SignalSettings(signal=signal, unit=unit, invalid=invalid, scale=scale)
+
+
+SETTINGS = CanSettings(
+    wheel_speed=use("Wheels.Speed", "km/h", INVALID),
+    yaw_rate=use("Dynamics.YawRate", "deg/s", INVALID),
+    steering_angle=use("Steering.WheelAngle", "deg", INVALID, scale=1.0 / STEERING_RATIO),
+    pitch=use("Attitude_Pitch.NoseUp", "deg", INVALID, scale=-1.0),
+    roll=use("Attitude_Roll.LeftUp", "deg", INVALID),
+    stroke_height=use("Suspension.Height", "mm", INVALID),
+)
 START_NS = 1_400_000_000 * 1_000_000_000
 STEP_NS = 20_000_000
 
@@ -41,12 +48,12 @@ def can_frame(identifier: int, data: bytes, *, extended: bool = False) -> CanFra
 
 
 def motion_of(*frames: tuple[float, CanFrame], **more: object) -> list:
-    can = CanMotion(MESSAGES, USES, **more)  # type: ignore[arg-type]
-    return [found for at_s, each in frames for found in can.take(each, START_NS + round(at_s * 1e9))]
+    can = CanMotion(MESSAGES, SETTINGS.model_copy(update=more))
+    return [message for at_s, each in frames for message in can.take(each, START_NS + round(at_s * 1e9))]
 
 
 def readings(seed: int = 2) -> VehicleReadings:
-    """Units that send at their own times, and now and then say nothing."""
+    """Units that send at different times, and now and then a gap."""
     rng = np.random.default_rng(seed)
 
     def one(sigma: float, rate_hz: float) -> Readings:
@@ -63,21 +70,18 @@ def readings(seed: int = 2) -> VehicleReadings:
     )
 
 
-def test_what_a_simulated_vehicle_says_on_its_bus_is_its_motion() -> None:
-    """Against what the simulator's own gateway makes of the same readings, within what the signals resolve."""
-    said = readings()
+def test_what_a_simulated_vehicle_sends_on_its_bus_is_its_motion() -> None:
+    """Against the simulator's gateway on the same readings, within what the signals resolve."""
+    sent = readings()
     decoder = CandumpDecoder("can.log")
-    frames = decoder.feed(candump_text(can_frames(said)).encode()) + decoder.finish()
-    can = CanMotion(MESSAGES, USES)
-    found = [message for each in frames for message in can.take(each, gps_ns(each.time_ns))]
-    motion = [message for message in found if isinstance(message, Motion)]
-    # A sensor that says that it knows nothing is not known, where the simulator's table has NaN.
+    frames = decoder.feed(candump_text(can_frames(sent)).encode()) + decoder.finish()
+    can = CanMotion(MESSAGES, SETTINGS)
+    made = [message for each in frames for message in can.take(each, gps_ns(each.time_ns))]
+    motion = [message for message in made if isinstance(message, Motion)]
+    # What a sensor marks as invalid is not known, where the simulator's table has NaN.
     table = [
-        {
-            name: None if value is None or (isinstance(value, float) and math.isnan(value)) else value
-            for name, value in row.items()
-        }
-        for row in ({**m} for m in _rows(said))
+        {name: None if value is None or math.isnan(value) else value for name, value in row.items()}
+        for row in _rows(sent)
     ]
     assert len(motion) == len(table) == 500
     steps = {
@@ -87,22 +91,22 @@ def test_what_a_simulated_vehicle_says_on_its_bus_is_its_motion() -> None:
         "pitch_rad": math.radians(0.001),
         "roll_rad": math.radians(0.001),
     }
-    for made, true in zip(motion, table, strict=True):
-        assert 0 <= true["time_ns"] - made.time_ns < 1000
+    for one, true in zip(motion, table, strict=True):
+        assert 0 <= true["time_ns"] - one.time_ns < 1000
         for name, step in steps.items():
-            value = getattr(made, name)
-            assert (value is None) == (true[name] is None), (name, made, true)
+            value = getattr(one, name)
+            assert (value is None) == (true[name] is None), (name, one, true)
             assert value is None or value == pytest.approx(true[name], abs=0.501 * step)
-    strokes = [message for message in found if isinstance(message, Suspension)]
-    assert said.stroke is not None
-    known = said.stroke.value[~np.isnan(said.stroke.value)]
-    np.testing.assert_allclose([one.stroke_height_m for one in strokes], known, atol=5.1e-5)
+    strokes = [message for message in made if isinstance(message, Suspension)]
+    assert sent.stroke is not None
+    known = sent.stroke.value[~np.isnan(sent.stroke.value)]
+    np.testing.assert_allclose([stroke.stroke_height_m for stroke in strokes], known, atol=5.1e-5)
 
 
-def _rows(said: VehicleReadings) -> list[dict]:
+def _rows(sent: VehicleReadings) -> list[dict]:
     """The simulator's gateway, whose message cannot carry NaN: with a number in its place, and back."""
     mark = 6.5
-    columns = {name: getattr(said, name) for name in VehicleReadings.__slots__}
+    columns = {name: getattr(sent, name) for name in VehicleReadings.__slots__}
     marked = VehicleReadings(
         **{name: replace(one, value=np.nan_to_num(one.value, nan=mark)) for name, one in columns.items()}
     )
@@ -112,18 +116,18 @@ def _rows(said: VehicleReadings) -> list[dict]:
     ]
 
 
-def test_units_and_signs_are_those_that_the_settings_say() -> None:
-    (found,) = motion_of(
+def test_units_and_signs_are_those_of_the_settings() -> None:
+    (made,) = motion_of(
         (0.0, frame("Wheels", -3600)),
         (0.0, frame("Steering", 300)),
         (0.0, frame("Attitude_Pitch", 2000)),
         (0.0, frame("Dynamics", 2000)),
     )
-    assert found.wheel_speed_m_s == pytest.approx(-10.0)
-    assert found.steering_angle_rad == pytest.approx(math.radians(1.0))
-    assert found.pitch_rad == pytest.approx(math.radians(-2.0))
-    assert found.yaw_rate_rad_s == pytest.approx(math.radians(10.0))
-    assert found.roll_rad is None
+    assert made.wheel_speed_m_s == pytest.approx(-10.0)
+    assert made.steering_angle_rad == pytest.approx(math.radians(1.0))
+    assert made.pitch_rad == pytest.approx(math.radians(-2.0))
+    assert made.yaw_rate_rad_s == pytest.approx(math.radians(10.0))
+    assert made.roll_rad is None
 
 
 def test_what_is_old_invalid_cut_off_or_beyond_its_range_is_not_known() -> None:
@@ -135,23 +139,23 @@ def test_what_is_old_invalid_cut_off_or_beyond_its_range_is_not_known() -> None:
         "range": (0.0, frame("Wheels", 30_001)),
     }
     for why, (at_s, each) in cases.items():
-        (found,) = motion_of((at_s, each), (0.0, frame("Dynamics", 1)))
-        assert found.wheel_speed_m_s is None, why
-        assert found.yaw_rate_rad_s is not None
-    (found,) = motion_of((-0.09, frame("Wheels", 100)), (0.0, frame("Dynamics", 1)))
-    assert found.wheel_speed_m_s is not None
+        (made,) = motion_of((at_s, each), (0.0, frame("Dynamics", 1)))
+        assert made.wheel_speed_m_s is None, why
+        assert made.yaw_rate_rad_s is not None
+    (made,) = motion_of((-0.09, frame("Wheels", 100)), (0.0, frame("Dynamics", 1)))
+    assert made.wheel_speed_m_s is not None
 
 
 @pytest.mark.parametrize(("factor", "most"), [(0.01, 2.55), (0.1, 0.3), (0.05625, 5.625), (-0.01, 0.0)])
 def test_the_ends_of_a_range_are_in_it_and_one_step_beyond_is_not(factor: float, most: float) -> None:
     least = round(255 * factor, 2) if factor < 0.0 else 0.0
     line = f'BO_ 1 A: 2 X\n SG_ Speed : 0|16@1- ({factor},0) [{least}|{most}] "m/s" X\n'
-    can = CanMotion(read_dbc(line, "x.dbc"), {"wheel_speed": SignalUse("A.Speed", "m/s")})
+    can = CanMotion(read_dbc(line, "x.dbc"), CanSettings(wheel_speed=use("A.Speed", "m/s")))
     last = round((most if factor > 0.0 else least) / factor)
 
     def speed(raw: int) -> float | None:
-        (found,) = can.take(can_frame(1, raw.to_bytes(2, "little", signed=True)), START_NS)
-        return found.wheel_speed_m_s
+        (made,) = can.take(can_frame(1, raw.to_bytes(2, "little", signed=True)), START_NS)
+        return made.wheel_speed_m_s
 
     assert speed(0) == 0.0
     assert speed(last) == pytest.approx(last * factor)
@@ -165,15 +169,14 @@ def test_a_value_that_becomes_invalid_does_not_leave_the_old_one() -> None:
 
 
 def test_a_yaw_rate_that_is_invalid_still_makes_a_motion_without_it() -> None:
-    (found,) = motion_of((0.0, frame("Wheels", 360)), (0.0, frame("Dynamics")))
-    assert (found.yaw_rate_rad_s, found.wheel_speed_m_s) == (None, pytest.approx(1.0))
+    (made,) = motion_of((0.0, frame("Wheels", 360)), (0.0, frame("Dynamics")))
+    assert (made.yaw_rate_rad_s, made.wheel_speed_m_s) == (None, pytest.approx(1.0))
 
 
 def test_another_message_can_make_the_motion() -> None:
-    found = motion_of(
-        (0.0, frame("Dynamics", 1)), (0.01, frame("Wheels", 1)), (0.02, frame("Wheels", 2)), trigger="Wheels"
-    )
-    assert [round((each.time_ns - START_NS) / 1e6) for each in found] == [10, 20]
+    frames = (0.0, frame("Dynamics", 1)), (0.01, frame("Wheels", 1)), (0.02, frame("Wheels", 2))
+    made = motion_of(*frames, trigger="Wheels")
+    assert [round((each.time_ns - START_NS) / 1e6) for each in made] == [10, 20]
 
 
 def test_frames_of_others_and_of_another_length_of_identifier_change_nothing() -> None:
@@ -186,44 +189,43 @@ def test_frames_of_others_and_of_another_length_of_identifier_change_nothing() -
 def test_where_the_speed_has_no_sign_the_gear_gives_it(gear: int | None, speed_m_s: float | None) -> None:
     text = DBC.replace("CM_", 'BO_ 5 Gear: 1 G\n SG_ Now : 0|4@1+ (1,0) [0|15] "" G\n\nCM_')
     messages = read_dbc(text, "can.dbc")
-    uses = {**USES, "reverse_gear": SignalUse("Gear.Now", None)}
-    can = CanMotion(messages, uses, reverse=(7,), forward=(1, 2, 3))
+    of_gear = {"reverse_gear": use("Gear.Now", None), "reverse_codes": (7,), "forward_codes": (1, 2, 3)}
+    can = CanMotion(messages, SETTINGS.model_copy(update=of_gear))
     if gear is not None:
         can.take(can_frame(5, bytes([gear])), START_NS)
     can.take(frame("Wheels", 3600), START_NS)
-    (found,) = can.take(frame("Dynamics", 1), START_NS)
-    assert found.wheel_speed_m_s == (None if speed_m_s is None else pytest.approx(speed_m_s))
+    (made,) = can.take(frame("Dynamics", 1), START_NS)
+    assert made.wheel_speed_m_s == (None if speed_m_s is None else pytest.approx(speed_m_s))
     can.take(frame("Wheels", 0), START_NS)
-    (found,) = can.take(frame("Dynamics", 1), START_NS)
-    assert found.wheel_speed_m_s == 0.0
+    (made,) = can.take(frame("Dynamics", 1), START_NS)
+    assert made.wheel_speed_m_s == 0.0
 
 
 @pytest.mark.parametrize(
-    ("gives", "use", "words"),
+    ("signal", "unit", "error"),
     [
-        ("yaw_rate", SignalUse("Dynamics.Yaw", "deg/s"), "yaw_rate: there is no signal Yaw in Dynamics"),
-        ("yaw_rate", SignalUse("YawRate", "deg/s"), "yaw_rate: there is no message YawRate"),
-        ("yaw_rate", SignalUse("Dynamics.YawRate", "rad/s"), "yaw_rate: the DBC file has Dynamics.YawRate in deg/s"),
-        ("yaw_rate", SignalUse("Dynamics.YawRate", "deg"), "yaw_rate: unit is deg, expected one of a turn rate"),
-        ("yaw_rate", SignalUse("Dynamics.YawRate", None), "yaw_rate: unit is not set, expected one of a turn rate"),
+        ("Dynamics.Yaw", "deg/s", "yaw_rate: there is no signal Yaw in Dynamics"),
+        ("YawRate", "deg/s", "yaw_rate: there is no message YawRate"),
+        ("Dynamics.YawRate", "rad/s", "yaw_rate: the DBC file has Dynamics.YawRate in deg/s"),
+        ("Dynamics.YawRate", "deg", "yaw_rate: unit is deg, expected one of a turn rate"),
+        ("Dynamics.YawRate", None, "yaw_rate: unit is not set, expected one of a turn rate"),
     ],
-)  # fmt: skip
-def test_a_signal_that_cannot_be_is_one_clear_line(gives, use: SignalUse, words: str) -> None:
-    with pytest.raises(SignalError) as error:
-        CanMotion(MESSAGES, {gives: use})
-    assert str(error.value).startswith(words)
+)
+def test_a_signal_that_cannot_be_is_one_clear_line(signal: str, unit: str | None, error: str) -> None:
+    with pytest.raises(SignalError) as refused:
+        CanMotion(MESSAGES, CanSettings(yaw_rate=use(signal, unit)))
+    assert str(refused.value).startswith(error)
 
 
 def test_codes_that_a_signal_can_never_be_are_one_clear_line() -> None:
-    use = SignalUse("Dynamics.YawRate", "deg/s", (-1, 65_535))
     with pytest.raises(SignalError) as error:
-        CanMotion(MESSAGES, {"yaw_rate": use})
+        CanMotion(MESSAGES, CanSettings(yaw_rate=use("Dynamics.YawRate", "deg/s", -1, 65_535)))
     assert str(error.value) == (
         "yaw_rate: invalid: 65535, expected -32768 to 32767: the DBC file has Dynamics.YawRate signed, of 16 bits"
     )
     gear = read_dbc('BO_ 5 Gear: 1 G\n SG_ Now : 0|4@1+ (1,0) [0|15] "" G\n', "can.dbc")
     with pytest.raises(SignalError) as error:
-        CanMotion(gear, {"reverse_gear": SignalUse("Gear.Now", None)}, reverse=(7, -1))
+        CanMotion(gear, CanSettings(reverse_gear=use("Gear.Now", None), reverse_codes=(7, -1)))
     assert (
         str(error.value)
         == "reverse_codes: -1, expected 0 to 15: the DBC file has Gear.Now unsigned, of 4 bits"
@@ -231,12 +233,12 @@ def test_codes_that_a_signal_can_never_be_are_one_clear_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "error"),
     [
         ("SG_ YawRate", "SG_ YawRate m2", "is multiplexed"),
         ("CM_", "SIG_VALTYPE_ 434 YawRate : 1;\nCM_", "floating"),
     ],
 )
-def test_signals_that_are_not_read_are_refused_and_not_misread(old: str, new: str, words: str) -> None:
-    with pytest.raises(SignalError, match=words):
-        CanMotion(read_dbc(DBC.replace(old, new), "can.dbc"), {"yaw_rate": USES["yaw_rate"]})
+def test_signals_that_are_not_read_are_refused_and_not_misread(old: str, new: str, error: str) -> None:
+    with pytest.raises(SignalError, match=error):
+        CanMotion(read_dbc(DBC.replace(old, new), "can.dbc"), CanSettings(yaw_rate=SETTINGS.yaw_rate))

@@ -41,15 +41,15 @@ def recorded(folder: Path, kind: str) -> tuple[Path, list]:
     path = folder / "lidar.pcap"
     path.write_bytes(b"".join(pcap_of(sweeps(kind), kind)))
     packets = PcapDecoder("lidar.pcap").feed(path.read_bytes())
-    found, issues = read(reader(kind), [(gps_ns(one.time_ns), one.payload) for one in packets])
+    result, issues = read(reader(kind), [(gps_ns(one.time_ns), one.payload) for one in packets])
     assert issues == []
-    return path, found
+    return path, result
 
 
 def test_velodyne_decoder_has_the_same_points(tmp_path: Path) -> None:
-    path, found = recorded(tmp_path, "velodyne")
+    path, result = recorded(tmp_path, "velodyne")
     theirs = np.load(io.BytesIO(asked("velodyne", path)))
-    ours = np.concatenate([sweep.points_m for sweep in found])
+    ours = np.concatenate([sweep.points_m for sweep in result])
     assert theirs.shape == ours.shape
     far_m = np.linalg.norm(ours, axis=1)
     # It rounds azimuths to 0.01°, and elevations to two decimals.
@@ -57,13 +57,13 @@ def test_velodyne_decoder_has_the_same_points(tmp_path: Path) -> None:
 
 
 def test_ouster_sdk_has_the_same_points_and_times(tmp_path: Path) -> None:
-    path, found = recorded(tmp_path, "ouster")
+    path, result = recorded(tmp_path, "ouster")
     (tmp_path / "m.json").write_text(ouster_metadata())
     theirs = np.load(io.BytesIO(asked("ouster", path, tmp_path / "m.json")))
-    ours = np.concatenate([sweep.points_m for sweep in found])
+    ours = np.concatenate([sweep.points_m for sweep in result])
     np.testing.assert_allclose(theirs["points"], ours, atol=1e-5)
     times_ns = np.unique(
-        np.concatenate([sweep.time_ns + sweep.offset_ns.astype(np.int64) for sweep in found])
+        np.concatenate([sweep.time_ns + sweep.offset_ns.astype(np.int64) for sweep in result])
     )
     tai_ns = times_ns + (315_964_800 + 19) * 1_000_000_000
     assert np.isin(tai_ns, theirs["stamps"].astype(np.int64)).all()
@@ -92,6 +92,6 @@ def test_cantools_has_the_same_values(tmp_path: Path) -> None:
             ours.append((message.name, name, raw * signal.factor + signal.offset))
     assert len(theirs) == len(ours) == 300
     for line, (message_name, name, value) in zip(theirs, ours, strict=True):
-        said_message, said_name, said = line.split()
-        assert (said_message, said_name) == (message_name, name)
-        assert float(said) == pytest.approx(value, abs=1e-9)
+        their_message, their_name, theirs = line.split()
+        assert (their_message, their_name) == (message_name, name)
+        assert float(theirs) == pytest.approx(value, abs=1e-9)

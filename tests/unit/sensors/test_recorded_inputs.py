@@ -18,10 +18,10 @@ NOW_NS = 1_400_000_000 * S
 def played(folder: Path, text: str) -> Played[CanFrame]:
     path = folder / "can.log"
     path.write_text(text)
-    found = Played("can", TimedFile(path, CandumpDecoder(path.name)))
-    first_ns = found.first_ns()
-    found.start(gps_ns(UNIX_NS) if first_ns is None else first_ns, NOW_NS, dated_now=True)
-    return found
+    result = Played("can", TimedFile(path, CandumpDecoder(path.name)))
+    first_ns = result.first_ns()
+    result.start(gps_ns(UNIX_NS) if first_ns is None else first_ns, NOW_NS, dated_now=True)
+    return result
 
 
 def frames(*at_s: float) -> str:
@@ -57,9 +57,9 @@ def test_what_is_a_little_out_of_order_is_no_step(tmp_path: Path) -> None:
 
 def test_one_call_gives_some_thousands_at_most(tmp_path: Path) -> None:
     one = played(tmp_path, frames(*(k / 1e5 for k in range(10_000))))
-    found = [len(one.take(NOW_NS + S)) for _ in range(4)]
-    assert sum(found) == 10_000
-    assert max(found) < 5000
+    result = [len(one.take(NOW_NS + S)) for _ in range(4)]
+    assert sum(result) == 10_000
+    assert max(result) < 5000
     one.close()
 
 
@@ -70,8 +70,7 @@ def test_a_file_of_another_kind_is_given_up_and_not_kept(tmp_path: Path) -> None
     assert one.take(NOW_NS) == []
     assert one.ended
     assert len(one.issues) < 1100
-    code, words = one.issues[1000]
-    assert (code, words) == (
+    assert one.issues[1000] == (
         "can_recording",
         "can.log: content, expected a recording of this kind; read no further after 1000 damages together",
     )
@@ -111,11 +110,11 @@ def test_frames_that_are_not_whole_are_named_with_the_file_and_how_many(tmp_path
     one.close()
 
 
-@pytest.mark.parametrize(("text", "words"), [("(1.0) can0 123#R\n" * 3, "3 remote"), ("", "nothing")])
-def test_a_recording_without_anything_says_so(tmp_path: Path, text: str, words: str) -> None:
+@pytest.mark.parametrize(("text", "skipped"), [("(1.0) can0 123#R\n" * 3, "3 remote"), ("", "nothing")])
+def test_a_recording_without_anything_is_an_issue(tmp_path: Path, text: str, skipped: str) -> None:
     one = played(tmp_path, text)
     assert one.take(NOW_NS) == []
-    expected = f"can.log: skipped is '{words}', expected whole datagrams or data frames"
+    expected = f"can.log: skipped is '{skipped}', expected whole datagrams or data frames"
     assert one.issues == [
         ("can_recording", expected),
         ("can_ended", "the recording has been played to its end"),

@@ -71,9 +71,9 @@ class Time:
 
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> Iterator[Time]:
-    found = Time(monkeypatch)
-    yield found
-    for each in found.services:
+    result = Time(monkeypatch)
+    yield result
+    for each in result.services:
         each.close()
 
 
@@ -141,7 +141,7 @@ def test_of_a_log_of_two_buses_the_first_is_read_and_the_other_named(time: Time,
     one = service(time, tmp_path, [each for k in range(20) for each in (frame("Dynamics", k / 10), other[k])])
     time.go(one, 2.5)
     assert {message.yaw_rate_rad_s for _, message in time.bus.given} == {0.0}
-    assert ("can_recording", "frames of can1 beside those of can0: set bus") in time.bus.issues
+    assert ("can_recording", "frames of can1, not only of can0: set bus") in time.bus.issues
     assert time.bus.counters["can.frames.of_other_buses"] == 20
 
 

@@ -11,9 +11,8 @@ from camber.simulator.output.lidar_packets import ouster_metadata
 def read(folder: Path, text: str) -> SensorsSettings:
     (folder / "can.dbc").write_text(DBC)
     (folder / "m.json").write_text(ouster_metadata())
-    (folder / "free.json").write_text(
-        ouster_metadata().replace("TIME_FROM_PTP_1588", "TIME_FROM_INTERNAL_OSC")
-    )
+    free_running = ouster_metadata().replace("TIME_FROM_PTP_1588", "TIME_FROM_INTERNAL_OSC")
+    (folder / "free.json").write_text(free_running)
     path = folder / "sensors.toml"
     path.write_text(text.replace("DIR", str(folder)))
     return load(SensorsSettings, ["--config", str(path)], prog="camber sensors")[0]
@@ -43,7 +42,7 @@ def test_what_is_whole_is_taken(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "error"),
     [
         (LIDAR + 'stamps = "utc_hour"\n', "lidar: model: missing"),
         (LIDAR + 'model = "VLP-16"\n', "lidar: stamps: missing; what the sensor's clock counts cannot be guessed"),
@@ -66,9 +65,9 @@ def test_what_is_whole_is_taken(tmp_path: Path, text: str) -> None:
         ('clock = "replay"\n', "clock: replay, expected system"),
     ],
 )  # fmt: skip
-def test_what_is_missing_or_does_not_fit_is_one_clear_line(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(ConfigError) as error:
+def test_what_is_missing_or_does_not_fit_is_one_clear_line(tmp_path: Path, text: str, error: str) -> None:
+    with pytest.raises(ConfigError) as refused:
         read(tmp_path, text)
-    said = str(error.value)
-    assert words.replace("DIR", str(tmp_path)) in said
-    assert "\n" not in said
+    line = str(refused.value)
+    assert error.replace("DIR", str(tmp_path)) in line
+    assert "\n" not in line

@@ -61,6 +61,10 @@ GEOID_SEPARATION_M = (
     37.0  # of NMEA and UBX heights above the sea, about that of Nagoya; nothing in Camber rests on it
 )
 _STATION_ID = 1  # chosen
+_OF_TRAJECTORY = (
+    "road_height_m", "antenna_height_m", "stroke_m", "speed_m_s", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_rad",
+    "level", "link_id", "link_offset_m",
+)  # fmt: skip
 _THREADS = 2  # chosen: a simulation leaves the other cores alone
 
 
@@ -184,15 +188,11 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
     time_s = (drive.epoch_ns - drive.epoch_ns[0]) / 1e9
     links = t.link_id[rows].tolist()
 
-    def columns(*names: str) -> dict[str, Floats]:
-        return {name: getattr(t, name)[rows].astype(np.float64) for name in names}
-
     more: dict[str, Floats] = {
         "vehicle_latitude_deg": np.degrees(at_axle[0]),
         "vehicle_longitude_deg": np.degrees(at_axle[1]),
         "vehicle_height_m": origin_m[:, 2],
-        **columns("road_height_m", "antenna_height_m", "stroke_m", "speed_m_s", "wheel_speed_m_s"),
-        **columns("yaw_rate_rad_s", "steering_rad", "level", "link_id", "link_offset_m"),
+        **{name: getattr(t, name)[rows].astype(np.float64) for name in _OF_TRAJECTORY},
         "road_changed_m": np.array([drive.district.changed_roads.get(link, 0.0) for link in links]),
         "map_wrong_m": np.array([drive.map_offset_m.get(link, 0.0) for link in links]),
         "fix_wrong_since_s": np.where(drive.fix_wrong, _since(drive.fix_wrong, drive.epoch_ns), np.nan),

@@ -21,7 +21,7 @@ from camber.simulator.vehicle.beam_pattern import BeamPattern
 
 SENSOR_ADDRESS, MACHINE_ADDRESS = "192.168.1.201", "192.168.1.100"
 VELODYNE_PORT, OUSTER_PORT = 2368, 7502
-_UNDER_WAY_NS = 50_000  # from a packet's last measurement to the recording machine
+_TRANSIT_NS = 50_000  # chosen: from a packet's last measurement to the recording machine
 _MODEL = velodyne.MODELS["HDL-32E"]
 _FIRING_NS = 46_080  # HDL-32E user's manual: 32 beams and a pause
 _COLUMNS = 2170  # firings of a turn of 0.1 s
@@ -59,7 +59,7 @@ def pcap_of(sweeps: Iterable[Sweep], kind: str) -> Iterator[bytes]:
     is_velodyne = kind == "velodyne"
     port, packets_of = (VELODYNE_PORT, velodyne_packets) if is_velodyne else (OUSTER_PORT, ouster_packets)
     for number, (last_ns, payload) in enumerate(packets_of(sweeps)):
-        time_ns = unix_ns_from_gps_ns(last_ns + _UNDER_WAY_NS)
+        time_ns = unix_ns_from_gps_ns(last_ns + _TRANSIT_NS)
         yield pcap_frames(
             Datagram(time_ns=time_ns, source=SENSOR_ADDRESS, port=port, payload=payload),
             MACHINE_ADDRESS,

@@ -61,7 +61,7 @@ def random_skies(count: int, rng: np.random.Generator) -> RandomSkies:
     """So many, each with five satellites at least."""
     table = OrbitTable.of(newest_in_use(true_ephemerides(_NOON_NS, _NOON_NS, 1), _NOON_NS))
     letters = [chr(int(number) >> 8) for number in table.satellite]
-    satellites = _Satellites(
+    satellites = _Constellation(
         number=table.satellite,
         place=np.array([_PLACE[letter] for letter in letters]),
         bands=np.array([_BANDS[letter] for letter in letters]),
@@ -86,7 +86,7 @@ def _empty(n: int) -> RandomSkies:
     return RandomSkies._make(np.zeros(shape[name], of.get(name, np.float64)) for name in RandomSkies._fields)
 
 
-class _Satellites(NamedTuple):
+class _Constellation(NamedTuple):
     number: Integers
     place: Integers
     bands: Integers
@@ -122,7 +122,7 @@ def _fill(
     skies: RandomSkies,
     at: int,
     lines: tuple[Floats, Floats],
-    satellites: _Satellites,
+    satellites: _Constellation,
     rng: np.random.Generator,
     noise: Noise,
 ) -> bool:

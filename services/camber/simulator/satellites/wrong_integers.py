@@ -1,4 +1,4 @@
-"""Wrong fixes: other points of the integer lattice, which the geometry at hand cannot tell from the right one.
+"""Wrong fixes: other points of the integer lattice, which the geometry at hand cannot distinguish from the right one.
 
 With integers wrong by δ the phases' least squares move the position by Δx and leave residuals λ δ + G Δx. A δ passes
 for right where those are small against the phases' errors and where the code allows Δx: that is the norm δᵀ Q_a⁻¹ δ of

@@ -37,9 +37,8 @@ _REFLECTIVITY = {
     Material.TUNNEL: 0.30,
 }
 """Of near infrared: common values for asphalt, soil, plaster, galvanised steel, leaves, paint, concrete."""
-# Panes send back nothing: chosen for houses and vehicles, as the share of what is lost on other surfaces.
-_LOST_SHARE = {Material.BUILDING: 0.06, Material.VEHICLE: 0.12}
-_LOST_ELSEWHERE = 0.005
+_LOST_SHARE = {Material.BUILDING: 0.06, Material.VEHICLE: 0.12}  # chosen: panes send back nothing
+_LOST_ELSEWHERE = 0.005  # chosen: puddles and the like
 _NOTICED = 0.05  # σ₀, chosen: asphalt is seen to some 45 m by a sensor 2 m above it
 _INTO_CROWN_M = 0.25  # chosen: mean depth between leaves
 _FULL_INTENSITY = 255.0  # a byte, as in common sensors

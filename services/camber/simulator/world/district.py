@@ -27,7 +27,7 @@ NAGOYA_RAD = (math.radians(35.17), math.radians(136.88))
 # Chosen: enough changed roads for the map's update to have work, by what a repair and an overlay amount to.
 CHANGED_SHARE = 0.2
 _RESURFACED_M = (0.03, 0.30)
-_SHORTEST_CHANGED_M = 80.0
+_SHORTEST_CHANGED_M = 80.0  # chosen: the new surface fades out over 20 m at both ends
 # Chosen: red lights as in a city centre.
 _STOP_CHANCE = 0.4
 _STOP_S = (4.0, 15.0)

@@ -108,7 +108,7 @@ class Roads:
         middle = of[:, _YAW0] + 0.5 * turn
         return of[:, _E0] + chord * np.cos(middle), of[:, _N0] + chord * np.sin(middle), yaw
 
-    def beside(self, link: int, s_m: Floats, y_m: Floats | float) -> tuple[Floats, Floats, Floats]:
+    def at_offset(self, link: int, s_m: Floats, y_m: Floats | float) -> tuple[Floats, Floats, Floats]:
         """East, north (n,) at y to the left of the centre line of one link at s, and its yaw there."""
         east, north, yaw = self.centre_line(link, s_m)
         return east - y_m * np.sin(yaw), north + y_m * np.cos(yaw), yaw

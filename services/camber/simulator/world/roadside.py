@@ -20,28 +20,42 @@ _NODE_CLEAR_M = (
 _LOWEST_M = 3.0  # chosen: a bungalow
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Frontage:
-    """How a kind of street is built up: metres from the centre line, of lots along it and of houses across it."""
+    """How a kind of street is built up: metres from the centre line, of lots along it and of houses across it.
+
+    `height_m`: mean and standard deviation of a normal distribution.
+    """
 
     setback_m: float
     lot_m: tuple[float, float]
     depth_m: tuple[float, float]
     height_m: tuple[float, float]
-    """Mean and standard deviation of a normal distribution."""
     gap: float
-    tree_every_m: float
+    tree_every_m: float = 0.0
     pole_every_m: float
     parked: float
 
 
 FRONTAGES = {
-    "street": Frontage(12.0, (14.0, 26.0), (12.0, 18.0), (13.0, 5.0), 0.25, 0.0, 35.0, 0.30),
+    "street": Frontage(
+        setback_m=12.0, lot_m=(14.0, 26.0), depth_m=(12.0, 18.0), height_m=(13.0, 5.0), gap=0.25,
+        pole_every_m=35.0, parked=0.30,
+    ),
     # 30 m blocks, N(50, 15) m, 10 % gaps on a street 20 m wide: the street canyon of Kikuchi (TUMSAT).
-    "canyon": Frontage(10.0, (30.0, 30.0), (20.0, 20.0), (50.0, 15.0), 0.10, 0.0, 35.0, 0.15),
-    "avenue": Frontage(16.0, (15.0, 28.0), (12.0, 20.0), (16.0, 6.0), 0.35, 9.0, 45.0, 0.25),
-    "open": Frontage(45.0, (15.0, 25.0), (10.0, 14.0), (6.0, 1.5), 0.92, 120.0, 60.0, 0.02),
-}
+    "canyon": Frontage(
+        setback_m=10.0, lot_m=(30.0, 30.0), depth_m=(20.0, 20.0), height_m=(50.0, 15.0), gap=0.10,
+        pole_every_m=35.0, parked=0.15,
+    ),
+    "avenue": Frontage(
+        setback_m=16.0, lot_m=(15.0, 28.0), depth_m=(12.0, 20.0), height_m=(16.0, 6.0), gap=0.35,
+        tree_every_m=9.0, pole_every_m=45.0, parked=0.25,
+    ),
+    "open": Frontage(
+        setback_m=45.0, lot_m=(15.0, 25.0), depth_m=(10.0, 14.0), height_m=(6.0, 1.5), gap=0.92,
+        tree_every_m=120.0, pole_every_m=60.0, parked=0.02,
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -104,7 +118,7 @@ def _row_of_houses(at: tuple[Roads, int], side: float, front: Frontage, rng: np.
     depth = rng.uniform(*front.depth_m, count)
     height = np.maximum(rng.normal(*front.height_m, count), _LOWEST_M)
     stands = (rng.random(count) >= front.gap) & (end <= length + 0.5 * lot)
-    east, north, yaw = roads.beside(link, end - 0.5 * lot, side * (front.setback_m + 0.5 * depth))
+    east, north, yaw = roads.at_offset(link, end - 0.5 * lot, side * (front.setback_m + 0.5 * depth))
     base = roads.terrain.height_m(east, north)
     boxes = np.column_stack((east, north, base - 2.0, 0.5 * lot - 0.05, 0.5 * depth, height + 2.0, yaw))
     return boxes[stands]
@@ -149,7 +163,9 @@ def _overlap(box: Floats, others: Floats) -> Booleans:
     return ~apart
 
 
-def _beside(roads: Roads, key: str, out_m: float, clear_m: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _places_along(
+    roads: Roads, key: str, out_m: float, clear_m: float
+) -> tuple[Floats, Floats, Floats, Floats]:
     """East, north, ground and yaw of places on both sides of all links, as far apart as their frontage says."""
     rows: list[Floats] = [np.zeros((0, 3))]
     for link, style in enumerate(roads.style):
@@ -158,7 +174,7 @@ def _beside(roads: Roads, key: str, out_m: float, clear_m: float) -> tuple[Float
             s = np.arange(clear_m, float(roads.length_m[link]) - clear_m, every_m)
             for side in (-1.0, 1.0):
                 y = side * (roads.shape[link, HALF_WIDTH] + out_m)
-                rows.append(np.column_stack(roads.beside(link, s + (4.0 if side > 0.0 else 0.0), y)))
+                rows.append(np.column_stack(roads.at_offset(link, s + (4.0 if side > 0.0 else 0.0), y)))
     east, north, yaw = np.concatenate(rows).T
     points = np.column_stack((east, north, *np.zeros((4, len(east))), yaw))
     east, north, yaw = points[_clear_of_roads(roads, points, 0.4)][:, [0, 1, 6]].T
@@ -167,7 +183,7 @@ def _beside(roads: Roads, key: str, out_m: float, clear_m: float) -> tuple[Float
 
 def _poles(roads: Roads, seed: int, day: Day) -> Floats:
     """Lamp posts; until the drive day one in twelve is gone and one in twelve stands half a metre to two metres off."""
-    east, north, ground, yaw = _beside(roads, "pole_every_m", 1.2, _NODE_CLEAR_M * 2.0 / 3.0)
+    east, north, ground, yaw = _places_along(roads, "pole_every_m", 1.2, _NODE_CLEAR_M * 2.0 / 3.0)
     rng = stream(seed, "poles")
     radius, height = rng.uniform(0.08, 0.16, len(east)), rng.uniform(6.0, 9.0, len(east))
     lot, moved = rng.random(len(east)), rng.uniform(0.5, 2.0, len(east))
@@ -181,7 +197,7 @@ def _poles(roads: Roads, seed: int, day: Day) -> Floats:
 
 def _trees(roads: Roads, seed: int, day: Day) -> tuple[Floats, Floats]:
     """Trunks and crowns; crowns have grown by 3 to 10 % until the drive day."""
-    east, north, ground, _ = _beside(roads, "tree_every_m", 3.0, _NODE_CLEAR_M * 2.0 / 3.0)
+    east, north, ground, _ = _places_along(roads, "tree_every_m", 3.0, _NODE_CLEAR_M * 2.0 / 3.0)
     rng = stream(seed, "trees")
     n = len(east)
     trunk, radius = rng.uniform(2.8, 3.6, n), rng.uniform(1.9, 3.0, n)
@@ -208,7 +224,7 @@ def _vehicles(roads: Roads, seed: int, day: Day) -> Floats:
             k = 0 if day == "survey" else 1
             taken = then if k == 0 else now
             y = side * (roads.shape[link, HALF_WIDTH] - 0.85)
-            east, north, yaw = roads.beside(link, s + shift[k], y)
+            east, north, yaw = roads.at_offset(link, s + shift[k], y)
             up = roads.link_height_m(np.array(link), east, north)
             shape = np.tile((0.0, 2.4, 0.9, 1.5), (len(s), 1))
             taken = taken & _clear_of_roads(roads, np.column_stack((east, north, shape, yaw)), 0.3, but=link)
@@ -221,7 +237,7 @@ def _vehicles(roads: Roads, seed: int, day: Day) -> Floats:
 
 def _cabinets(roads: Roads, seed: int, day: Day) -> Floats:
     """Switch cabinets and containers on the pavement; half of them stand elsewhere on the drive day."""
-    east, north, ground, yaw = _beside(roads, "pole_every_m", 2.6, _NODE_CLEAR_M)
+    east, north, ground, yaw = _places_along(roads, "pole_every_m", 2.6, _NODE_CLEAR_M)
     rng = stream(seed, "cabinets")
     n = len(east)
     there, moves, by = rng.random(n) < 0.25, rng.random(n) < 0.5, rng.uniform(-8.0, 8.0, n)

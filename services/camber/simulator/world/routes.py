@@ -107,7 +107,7 @@ def _slopes(roads: Roads, east: Floats, north: Floats, level: Integers) -> tuple
     return towards_east / (2.0 * d), towards_north / (2.0 * d)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _LaneEnd:
     """The lane of a leg at one of its ends: where, in which direction, and by how much it is cut there."""
 
@@ -122,8 +122,8 @@ def _lane_line(roads: Roads, legs: Sequence[Leg], start_m: float, end_m: float) 
         if _nodes(roads, a)[1] != _nodes(roads, b)[0]:
             first, second = roads.link_id[a.link], roads.link_id[b.link]
             raise ValueError(f"link {second} does not begin where {first} ends")
-    begins = [_LaneEnd(*_lane(roads, leg, np.zeros(1))) for leg in legs]
-    ends = [_LaneEnd(*_lane(roads, leg, roads.length_m[leg.link : leg.link + 1])) for leg in legs]
+    begins = [_lane_end(roads, leg, np.zeros(1)) for leg in legs]
+    ends = [_lane_end(roads, leg, roads.length_m[leg.link : leg.link + 1]) for leg in legs]
     begins[0].cut_m, ends[-1].cut_m = start_m, end_m
     arcs = [_arc(end, begin) for end, begin in zip(ends[:-1], begins[1:], strict=True)]
     points, leg_of = [], []
@@ -154,6 +154,11 @@ def _lane(roads: Roads, leg: Leg, s_m: Floats) -> tuple[Floats, float]:
     yaw = yaw if leg.forward else yaw + np.pi
     left = float(roads.lane_offset_m[leg.link])
     return np.column_stack((east - left * np.sin(yaw), north + left * np.cos(yaw))), float(yaw[-1])
+
+
+def _lane_end(roads: Roads, leg: Leg, s_m: Floats) -> _LaneEnd:
+    place, yaw = _lane(roads, leg, s_m)
+    return _LaneEnd(place=place, yaw=yaw)
 
 
 def _arc(end: _LaneEnd, begin: _LaneEnd) -> Floats:

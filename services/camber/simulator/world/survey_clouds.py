@@ -20,9 +20,9 @@ from camber.simulator.scene import Booleans, Floats, Material
 from camber.simulator.world.ray_tracing import ShapeTracer
 from camber.simulator.world.roads import Roads
 
-# Chosen: a scanner on the roof of a car, denser than a LiDAR that drives by, in blocks that fit into the cache.
-SENSOR_HEIGHT_M = 2.2
 _ELEVATIONS_RAD = np.deg2rad(np.concatenate((np.linspace(-28.0, 0.0, 32), np.linspace(2.0, 32.0, 16))))
+# Chosen: a scanner on the roof of a car, denser than a LiDAR that drives by; blocks that fit into the cache.
+SENSOR_HEIGHT_M = 2.2
 _AZIMUTHS = 240
 _RANGE_M = 80.0
 _RANGE_SIGMA_M = 0.01
@@ -95,7 +95,7 @@ def scan_stations(roads: Roads, links: Sequence[int], spacing_m: float) -> Itera
         length = float(roads.length_m[link])
         s = np.linspace(0.0, length, max(2, math.ceil(length / spacing_m) + 1))[:-1] + 0.5 * spacing_m
         s = s[s < length]
-        east, north, yaw = roads.beside(link, s, float(roads.lane_offset_m[link]))
+        east, north, yaw = roads.at_offset(link, s, float(roads.lane_offset_m[link]))
         up = roads.link_height_m(np.array(link), east, north) + SENSOR_HEIGHT_M
         for k in range(0, len(s), _SWEEPS_AT_ONCE):
             part = slice(k, k + _SWEEPS_AT_ONCE)

@@ -24,11 +24,14 @@ BARE_M = 100.0  # chosen: longer than a LiDAR with 32 beams sees along even wall
 _BARE_FROM_M = 300.0  # chosen: a link's tunnel of this length and more has a bare stretch in its middle
 # Chosen: behind the wall's surface, and clear of the road's edge.
 _INTO_WALL_M = 0.05
-_BESIDE_M = 0.4
+_OFF_ROAD_M = 0.4
 _LEFT, _RIGHT, _BOTH = (1.0,), (-1.0,), (-1.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fitting:
     """One sort: drawn `every_m` (least, most), on the sides of the road that are named (left positive).
 
@@ -41,18 +44,23 @@ class Fitting:
     long_m: tuple[float, float]
     deep_m: tuple[float, float]
     high_m: tuple[float, float]
-    up_m: float | None = None
-    inwards_m: float | None = None
+    up_m: float | None
+    inwards_m: float | None
 
 
+_ROWS: dict[str, tuple[Pair, tuple[float, ...], Pair, Pair, Pair, float | None, float | None]] = {
+    "lamps": ((10.0, 18.0), _BOTH, (1.1, 1.3), (0.3, 0.3), (0.16, 0.2), None, 1.6),
+    "fans": ((60.0, 100.0), _BOTH, (2.6, 3.2), (0.85, 0.85), (0.85, 0.85), None, 3.2),
+    "hydrants": ((46.0, 54.0), _LEFT, (1.4, 1.9), (0.25, 0.35), (1.2, 1.6), 0.5, None),
+    "telephones": ((90.0, 150.0), _RIGHT, (0.7, 1.0), (0.3, 0.4), (1.9, 2.1), 0.1, None),
+    "cabinets": ((40.0, 110.0), _RIGHT, (0.9, 2.2), (0.3, 0.5), (1.3, 1.9), 0.1, None),
+    "doors": ((150.0, 250.0), _LEFT, (2.0, 2.4), (0.15, 0.25), (2.3, 2.5), 0.0, None),
+    "signs": ((60.0, 140.0), _BOTH, (0.12, 0.16), (0.6, 0.8), (0.6, 0.8), 2.4, None),
+}
+"""By sort, the fields of Fitting in their order."""
 FITTINGS = {
-    "lamps": Fitting((10.0, 18.0), _BOTH, (1.1, 1.3), (0.3, 0.3), (0.16, 0.2), inwards_m=1.6),
-    "fans": Fitting((60.0, 100.0), _BOTH, (2.6, 3.2), (0.85, 0.85), (0.85, 0.85), inwards_m=3.2),
-    "hydrants": Fitting((46.0, 54.0), _LEFT, (1.4, 1.9), (0.25, 0.35), (1.2, 1.6), up_m=0.5),
-    "telephones": Fitting((90.0, 150.0), _RIGHT, (0.7, 1.0), (0.3, 0.4), (1.9, 2.1), up_m=0.1),
-    "cabinets": Fitting((40.0, 110.0), _RIGHT, (0.9, 2.2), (0.3, 0.5), (1.3, 1.9), up_m=0.1),
-    "doors": Fitting((150.0, 250.0), _LEFT, (2.0, 2.4), (0.15, 0.25), (2.3, 2.5), up_m=0.0),
-    "signs": Fitting((60.0, 140.0), _BOTH, (0.12, 0.16), (0.6, 0.8), (0.6, 0.8), up_m=2.4),
+    name: Fitting(**dict(zip(Fitting.__slots__, row, strict=True)))  # type: ignore[arg-type]
+    for name, row in _ROWS.items()
 }
 
 
@@ -82,21 +90,22 @@ def _row(at: tuple[Roads, int], fitting: Fitting, side: float, rng: np.random.Ge
     stands = s + long < end
     if end - begin >= _BARE_FROM_M:
         stands &= np.abs(s - 0.5 * (begin + end)) > 0.5 * (BARE_M + long)
-    stands &= _at_a_wall(roads, link, side, s, long)
+    stands &= _at_a_wall(at, side, s, long)
     inwards = 0.5 * deep - _INTO_WALL_M if fitting.inwards_m is None else fitting.inwards_m
     y = side * (roads.shape[link, HALF_WIDTH] + WALL_BEYOND_M - inwards)
-    east, north, yaw = roads.beside(link, s, y)
+    east, north, yaw = roads.at_offset(link, s, y)
     above = CEILING_M - high if fitting.up_m is None else fitting.up_m
     up = roads.link_height_m(np.array(link), east, north) + above
     boxes: Floats = np.column_stack((east, north, up, 0.5 * long, 0.5 * deep, high, yaw))[stands]
     return boxes
 
 
-def _at_a_wall(roads: Roads, link: int, side: float, s: Floats, long: Floats) -> Booleans:
+def _at_a_wall(at: tuple[Roads, int], side: float, s: Floats, long: Floats) -> Booleans:
     """Is there a wall along the whole of a fitting, or another tube that joins this one?"""
-    y = side * (roads.shape[link, HALF_WIDTH] + _BESIDE_M)
+    roads, link = at
+    y = side * (roads.shape[link, HALF_WIDTH] + _OFF_ROAD_M)
     free = np.ones(len(s), bool)
     for end in (-0.5, 0.0, 0.5):
-        east, north, _ = roads.beside(link, s + end * long, y)
+        east, north, _ = roads.at_offset(link, s + end * long, y)
         free &= np.isnan(roads.surface_m(east, north, roads.level[link]))
     return free
