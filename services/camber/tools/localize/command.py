@@ -23,10 +23,11 @@ from camber.tools.localize.drive_plot import drive_figure
 from camber.tools.localize.figures import drive_summary
 from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
-from camber.tools.localize.localizer_run import LocalizedDrive, localize
+from camber.tools.localize.localizer_run import localize
 from camber.tools.localize.match_picture import match_figure
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_drive, tool_parser
 from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors
 from camber.validation.plots import require_matplotlib, svg_text
 
@@ -83,35 +84,46 @@ def localize_drive(
         observer=views,
         quiet=quiet,
     )
-    written = _write(inputs, drive, release=release, views=views, out=out)
-    lines = [
-        _summary(inputs, drive, options),
-        f"Written: {', '.join(map(str, written))}.",
-        *views.missed(),
-        *drive.notes,
-    ]
-    return "\n".join(lines)
+    poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
+    errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
+    figure = drive_figure(
+        manifest.name, poses=poses, matches=matches, errors=errors, truth=inputs.truth, release=release
+    )
+    texts = {"poses.csv": poses_csv(drive.poses, errors), "matches.csv": matches_csv(drive.matches)}
+    texts["localize.svg"] = svg_text(figure)
+    for file, view in views.pictures().items():
+        texts[file] = svg_text(match_figure(manifest.name, view, start_ns=views.start_ns))
+    for file, text in texts.items():
+        (out / file).write_text(text, "utf-8")
+    surrogates = list(manifest.surrogate_notes())
+    if options.anchors != "none":
+        surrogates.append(f"anchors from {options.anchors}: an integrity judge without errors")
+    summary = drive_summary(
+        manifest.name, drive, poses=poses, matches=matches, errors=errors, surrogates=surrogates
+    )
+    written = f"Written: {', '.join(str(out / file) for file in texts)}."
+    return "\n".join([summary, written, *views.missed(), *drive.notes])
 
 
 def _release(inputs: DriveInputs, options: LocalizeOptions, settings: LocalizerSettings) -> Release:
     """Return the map of a drive with all inputs needed; raises ManifestError where one is missing."""
     manifest = inputs.manifest
-    missing = {
-        "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs": not inputs.motion,
-        "table sweeps with sweeps in it, expected one, or --no-match-sweeps for motion and links alone": (
-            settings.match_sweeps and not inputs.sweeps
+    no_start = settings.initial_pose is None and not options.fixes and options.anchors == "none"
+    for is_missing, expected in (
+        (not inputs.motion, "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"),
+        (
+            settings.match_sweeps and not inputs.sweeps,
+            "table sweeps with sweeps in it, expected one, or --no-match-sweeps for motion and links alone",
         ),
-        "initial_pose, expected one, or --fixes or --anchors to start from": (
-            settings.initial_pose is None and not options.fixes and options.anchors == "none"
+        (no_start, "initial_pose, expected one, or --fixes or --anchors to start from"),
+        (
+            inputs.map_release is None,
+            "table map, expected one, or links and road_surfaces as surrogates",
         ),
-    }
-    for expected, is_missing in missing.items():
+    ):
         if is_missing:
             raise ManifestError(f"{manifest.name}: no {expected}")
-    if inputs.map_release is None:
-        raise ManifestError(
-            f"{manifest.name}: no table map, expected one, or links and road_surfaces as surrogates"
-        )
+    assert inputs.map_release is not None  # checked above
     return release_for(inputs.map_release, manifest.datum)
 
 
@@ -147,13 +159,15 @@ class _MatchViews:
         if badness > self._least:
             self._least, self.worst = badness, view
 
+    def pictures(self) -> dict[str, MatchView]:
+        """Return the views to draw by file name."""
+        worst = {} if self.worst is None else {"match-worst.svg": self.worst}
+        return worst | {f"match-{at_s:g}s.svg": view for at_s, view in self.requested.items()}
+
     def missed(self) -> list[str]:
         """Return a line for each requested picture that could not be drawn."""
-        return [
-            f"No picture at {at_s:g} s: nothing was matched there."
-            for at_s in self.requested_s
-            if at_s not in self.requested
-        ]
+        missed = [at_s for at_s in self.requested_s if at_s not in self.requested]
+        return [f"No picture at {at_s:g} s: nothing was matched there." for at_s in missed]
 
     def _is_nearer(self, at_s: float, time_ns: int) -> bool:
         wanted_ns = self.start_ns + round(at_s * 1e9)
@@ -162,80 +176,18 @@ class _MatchViews:
         return abs(time_ns - wanted_ns) < least_ns
 
 
-def _write(
-    inputs: DriveInputs, drive: LocalizedDrive, *, release: Release, views: _MatchViews, out: Path
-) -> list[Path]:
-    """Write tables, plot and pictures; returns the files."""
-    poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
-    errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
-    texts = {"poses.csv": poses_csv(drive.poses, errors), "matches.csv": matches_csv(drive.matches)}
-    name = inputs.manifest.name
-    figure = drive_figure(
-        name, poses=poses, matches=matches, errors=errors, truth=inputs.truth, release=release
-    )
-    texts["localize.svg"] = svg_text(figure)
-    pictures = {f"match-{at_s:g}s.svg": view for at_s, view in views.requested.items()}
-    if views.worst is not None:
-        pictures = {"match-worst.svg": views.worst, **pictures}
-    for file, view in pictures.items():
-        texts[file] = svg_text(match_figure(name, view, start_ns=views.start_ns))
-    for name, text in texts.items():
-        (out / name).write_text(text, "utf-8")
-    return [out / name for name in texts]
-
-
-def _summary(inputs: DriveInputs, drive: LocalizedDrive, options: LocalizeOptions) -> str:
-    surrogates = list(inputs.manifest.surrogate_notes())
-    if options.anchors != "none":
-        surrogates.append(f"anchors from {options.anchors}: an integrity judge without errors")
-    poses = PoseColumns.from_poses(drive.poses)
-    errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
-    return drive_summary(
-        inputs.manifest.name,
-        drive,
-        poses=poses,
-        matches=MatchColumns.from_matches(drive.matches),
-        errors=errors,
-        surrogates=surrogates,
-    )
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG,
-        description=__doc__,
-        epilog="Settings of the localizer are accepted too, such as --no-match-sweeps for motion and links alone.",
-        allow_abbrev=False,
+    settings = (
+        "Settings of the localizer are accepted too, such as --no-match-sweeps for motion and links alone."
     )
-    parser.add_argument(
-        "drive", type=Path, metavar="drive.toml", help="manifest with motion, sweeps and a map"
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/localize"),
-        metavar="DIR",
-        help="output folder (default out/localize)",
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
-    )
-    parser.add_argument(
-        "--anchors",
-        choices=get_args(Anchors),
-        default="none",
-        help="confirmed positions: none, the truth once a second, or the receiver's fixes that agree with the truth",
-    )
-    parser.add_argument(
-        "--fixes", action="store_true", help="let the receiver's unconfirmed fixes initialize the pose"
-    )
-    parser.add_argument(
-        "--picture",
-        type=number_from(0.0, 1e6, "s"),
-        action="append",
-        default=[],
-        metavar="S",
-        help="draw the match nearest to S seconds after the start; repeatable",
-    )
+    parser = tool_parser(_PROG, __doc__, settings, allow_abbrev=False)
+    add_drive(parser, "manifest with motion, sweeps and a map", out="out/localize")
+    text = "confirmed positions: none, the truth once a second, or the receiver's fixes that agree with the truth"
+    parser.add_argument("--anchors", choices=get_args(Anchors), default="none", help=text)
+    text = "let the receiver's unconfirmed fixes initialize the pose"
+    parser.add_argument("--fixes", action="store_true", help=text)
+    text = "draw the match nearest to S seconds after the start; repeatable"
+    seconds = number_from(0.0, 1e6, "s")
+    parser.add_argument("--picture", type=seconds, action="append", default=[], metavar="S", help=text)
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser

@@ -51,12 +51,10 @@ def _csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 def _pose(pose: Pose, errors: PoseErrors | None, row: int) -> list[str]:
     covariance, road = pose.covariance_east_north_yaw, pose.road
     ee, en, _, nn, _, yy = covariance or (None,) * 6
-    error: tuple[float | None, ...] = (None,) * 4
+    along_m = cross_m = yaw_rad = elevation_m = None
     if errors is not None:
-        error = tuple(
-            float(column[row])
-            for column in (errors.along_m, errors.cross_m, errors.yaw_rad, errors.elevation_m)
-        )
+        columns = (errors.along_m, errors.cross_m, errors.yaw_rad, errors.elevation_m)
+        along_m, cross_m, yaw_rad, elevation_m = (float(column[row]) for column in columns)
     return [
         str(pose.time_ns),
         pose.mode,
@@ -65,28 +63,28 @@ def _pose(pose: Pose, errors: PoseErrors | None, row: int) -> list[str]:
         _degrees(pose.longitude_rad, 10),
         _degrees(pose.yaw_rad),
         *(_number(value, ".6g") for value in (ee, en, nn)),
-        _degrees(None if yy is None else math.sqrt(yy)),
-        _degrees(pose.roll_rad),
-        _degrees(pose.pitch_rad),
+        *map(_degrees, (None if yy is None else math.sqrt(yy), pose.roll_rad, pose.pitch_rad)),
         _number(pose.speed_m_s),
         _whole(pose.link_id),
         road.status if road.status == "known" else road.reason,
-        _whole(road.surface_id),
-        _whole(road.level),
-        _number(road.elevation_m),
-        _number(road.sigma_m),
+        *map(_whole, (road.surface_id, road.level)),
+        *map(_number, (road.elevation_m, road.sigma_m)),
         *(_age(pose, then_ns) for then_ns in (pose.anchor_time_ns, pose.motion_time_ns, pose.match_time_ns)),
-        _number(error[0]),
-        _number(error[1]),
-        _degrees(error[2]),
-        _number(error[3]),
+        *map(_number, (along_m, cross_m)),
+        _degrees(yaw_rad),
+        _number(elevation_m),
         pose.reason,
     ]
 
 
 def _match(match: ScanMatch, layers: int) -> list[str]:
-    roll, pitch, yaw = match.roll_pitch_yaw_rad or (None,) * 3
-    ee, en, nn = match.covariance_east_north or (None,) * 3
+    heights = (
+        "overlap",
+        "sensor_height_m",
+        "sensor_height_sigma_m",
+        "ground_height_m",
+        "ground_height_sigma_m",
+    )
     return [
         str(match.time_ns),
         match.status,
@@ -94,16 +92,11 @@ def _match(match: ScanMatch, layers: int) -> list[str]:
         _degrees(match.latitude_rad, 10),
         _degrees(match.longitude_rad, 10),
         _number(match.height_m),
-        *(_degrees(angle) for angle in (roll, pitch, yaw)),
-        *(_number(value, ".6g") for value in (ee, en, nn)),
-        _number(match.overlap),
-        _number(match.sensor_height_m),
-        _number(match.sensor_height_sigma_m),
-        _number(match.ground_height_m),
-        _number(match.ground_height_sigma_m),
-        _number(match.road_slope_forward, ".6f"),
-        _number(match.road_slope_left, ".6f"),
-        *("" if math.isnan(value) else _number(value) for value in match.distances_m(layers).tolist()),
+        *map(_degrees, match.roll_pitch_yaw_rad or (None,) * 3),
+        *(_number(value, ".6g") for value in match.covariance_east_north or (None,) * 3),
+        *(_number(getattr(match, name)) for name in heights),
+        *(_number(slope, ".6f") for slope in (match.road_slope_forward, match.road_slope_left)),
+        *map(_number, match.distances_m(layers).tolist()),
     ]
 
 

@@ -6,8 +6,9 @@ Results obtained with them must say so.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -47,8 +48,10 @@ def receiver_fixes(inputs: DriveInputs) -> list[Fix]:
                 "rover", part.protocol, manifest.receiver.file.name, part.time_ns, utc_date=date
             )
         for _, item in readers[part.protocol].feed(part.payload.tobytes()):
-            if isinstance(item, ReceiverSolution):
-                fixes += _fix(item, manifest.datum, fixes[-1].time_ns if fixes else None, part.time_ns)
+            last_ns = fixes[-1].time_ns if fixes else None
+            if isinstance(item, ReceiverSolution) and refuse(item.time_ns, last_ns, part.time_ns) is None:
+                with contextlib.suppress(ValidationError):  # a place that no antenna can be at
+                    fixes.append(fix_from(item, manifest.datum))
     return fixes
 
 
@@ -60,27 +63,16 @@ def anchors_of(inputs: DriveInputs, kind: Anchors) -> list[Verdict]:
         raise ManifestError(f"{inputs.manifest.name}: no table truth, expected one for anchors of {kind}")
     table = inputs.truth
     if kind == "truth":
-        rows = np.unique(table.time_ns // _EVERY_NS, return_index=True)[1].tolist()
+        rows = np.unique(table.time_ns // _EVERY_NS, return_index=True)[1]
+        places = np.column_stack((table.latitude_rad, table.longitude_rad, table.height_m))[rows].tolist()
         variance = _SIGMA_M**2
+        covariance = (variance, 0.0, 0.0, variance, 0.0, 4.0 * variance)
+        times_ns = table.time_ns[rows].tolist()
         return [
-            _confirmed(
-                int(table.time_ns[row]),
-                (float(table.latitude_rad[row]), float(table.longitude_rad[row]), float(table.height_m[row])),
-                (variance, 0.0, 0.0, variance, 0.0, 4.0 * variance),
-            )
-            for row in rows
+            _confirmed(time_ns, place, covariance) for time_ns, place in zip(times_ns, places, strict=True)
         ]
     fixes = [fix for fix in receiver_fixes(inputs) if fix.quality == "fixed"]
     return _right(fixes, truth_of(table), inputs)
-
-
-def _fix(solution: ReceiverSolution, datum: str, last_ns: int | None, now_ns: int) -> list[Fix]:
-    if refuse(solution.time_ns, last_ns, now_ns) is not None:
-        return []
-    try:
-        return [fix_from(solution, datum)]
-    except ValidationError:  # a place that no antenna can be at
-        return []
 
 
 def _right(fixes: Sequence[Fix], truth: ReferenceTrajectory, inputs: DriveInputs) -> list[Verdict]:
@@ -88,24 +80,17 @@ def _right(fixes: Sequence[Fix], truth: ReferenceTrajectory, inputs: DriveInputs
         return []
     places = np.array([(fix.latitude_rad, fix.longitude_rad, fix.height_m) for fix in fixes])
     time_ns = np.array([fix.time_ns for fix in fixes], np.int64)
-    error_m = np.linalg.norm(
-        truth.error_enu_m(
-            time_ns, places[:, 0], places[:, 1], places[:, 2], offset_enu_m=offset_of(inputs.manifest)
-        ),
-        axis=1,
-    )
+    error_enu_m = truth.error_enu_m(time_ns, *places.T, offset_enu_m=offset_of(inputs.manifest))
     return [
-        _confirmed(fix.time_ns, (fix.latitude_rad, fix.longitude_rad, fix.height_m), fix.covariance_enu_m2)
-        for fix, error in zip(fixes, error_m.tolist(), strict=True)
-        if error <= RIGHT_M and fix.covariance_enu_m2 is not None
+        _confirmed(fix.time_ns, place, fix.covariance_enu_m2)
+        for fix, place, error_m in zip(
+            fixes, places.tolist(), np.linalg.norm(error_enu_m, axis=1), strict=True
+        )
+        if error_m <= RIGHT_M and fix.covariance_enu_m2 is not None
     ]
 
 
-def _confirmed(
-    time_ns: int,
-    place: tuple[float, float, float],
-    covariance_enu_m2: tuple[float, float, float, float, float, float] | None,
-) -> Verdict:
+def _confirmed(time_ns: int, place: Sequence[float], covariance_enu_m2: Any) -> Verdict:
     latitude_rad, longitude_rad, height_m = place
     return Verdict(
         time_ns=time_ns,

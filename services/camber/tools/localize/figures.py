@@ -38,17 +38,13 @@ def drive_summary(
 
 
 def _shares(values: Names) -> str:
-    counts = Counter(values.tolist())
-    return ", ".join(
-        f"{count:,} {value.replace('_', ' ')} ({count / len(values):.1%})"
-        for value, count in counts.most_common()
-    )
+    counts = Counter(values.tolist()).most_common()
+    return ", ".join(f"{n:,} {value.replace('_', ' ')} ({n / len(values):.1%})" for value, n in counts)
 
 
 def _why(drive: LocalizedDrive) -> str:
-    reasons = Counter(
-        f"{match.status}: {match.reason}" for match in drive.matches if match.status != "converged"
-    )
+    others = (match for match in drive.matches if match.status != "converged")
+    reasons = Counter(f"{match.status}: {match.reason}" for match in others)
     return f"Not converged: {_counted(reasons)}." if reasons else ""
 
 

@@ -9,14 +9,7 @@ from camber.schemas.drive import DriveManifest, InitialPose
 
 def localizer_config(manifest: DriveManifest, start: InitialPose | None) -> dict[str, Any]:
     """Where antenna and LiDAR stand, the wheelbase, and where the drive begins if that is known without satellites."""
-    antenna, lidar = manifest.lever_arms.antenna, manifest.lever_arms.lidar
-    return {
-        "antenna_x_m": antenna.x_m,
-        "antenna_y_m": antenna.y_m,
-        "antenna_z_m": antenna.z_m,
-        "lidar_x_m": lidar.x_m,
-        "lidar_y_m": lidar.y_m,
-        "lidar_z_m": lidar.z_m,
-        "wheelbase_m": manifest.surrogates.wheelbase_m,
-        **({} if start is None else {"initial_pose": start.model_dump()}),
-    }
+    arms = {"antenna": manifest.lever_arms.antenna, "lidar": manifest.lever_arms.lidar}
+    places = {f"{name}_{axis}_m": getattr(arm, f"{axis}_m") for name, arm in arms.items() for axis in "xyz"}
+    start_pose = {} if start is None else {"initial_pose": start.model_dump()}
+    return {**places, "wheelbase_m": manifest.surrogates.wheelbase_m, **start_pose}

@@ -44,7 +44,7 @@ _SCALE = (PRIMARY, GREEN, "#f2c14e", ORANGE, RED)
 _STATUS = {"converged": PRIMARY, "ambiguous": AMBER, "lost": RED}
 _COLUMN_WIDTHS = (0.16, 0.1, 0.18, 0.11, 0.14, 0.15, 0.16)
 _COLUMNS = ("layer", "points", "mean distance", "overlap", "on a plane", "residual / σ", "outcome")
-_ROW_IN = 0.2
+_ROW_IN = 0.2  # chosen: a line of small text
 
 
 def match_figure(name: str, view: MatchView, *, start_ns: int) -> Figure:
