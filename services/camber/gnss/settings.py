@@ -28,12 +28,10 @@ class GnssSettings(ServiceSettings):
     )
     protocol: StreamProtocol = Field("nmea", description="protocol of source; not used for the bus")
     positions: Literal["receiver", "engine"] = Field(
-        "receiver",
-        description="positions to publish: those of the receiver, or of Camber's RTK engine",
+        "receiver", description="positions to publish: those of the receiver, or of Camber's RTK engine"
     )
     base_source: str | None = Field(
-        None,
-        description="the base station, as source; unset: from the bus, or in the receiver's stream",
+        None, description="the base station, as source; unset: from the bus, or in the receiver's stream"
     )
     base_protocol: StreamProtocol = Field("rtcm", description="protocol of base_source")
     base_ecef_m: tuple[Coordinate, Coordinate, Coordinate] | None = Field(

@@ -169,11 +169,7 @@ def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
 
 
 def open_stream(
-    url: str,
-    *,
-    on_data: Callable[[], None],
-    ntrip: NtripAccess | None = None,
-    silence_s: float = SILENCE_S,
+    url: str, *, on_data: Callable[[], None], ntrip: NtripAccess | None = None, silence_s: float = SILENCE_S
 ) -> ByteStream:
     """Open a source of `parse_source`; ValueError for any other.
 

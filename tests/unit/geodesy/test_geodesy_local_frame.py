@@ -13,10 +13,7 @@ from camber.geodesy.local_frame import LocalFrame
 NAGOYA = LocalFrame(math.radians(35.1653), math.radians(136.8814), 41.0)
 
 frames = st.builds(
-    LocalFrame,
-    st.floats(-math.pi / 2, math.pi / 2),
-    st.floats(-math.pi, math.pi),
-    st.floats(-400.0, 5000.0),
+    LocalFrame, st.floats(-math.pi / 2, math.pi / 2), st.floats(-math.pi, math.pi), st.floats(-400.0, 5000.0)
 )
 offsets = st.floats(-20_000.0, 20_000.0)
 heights = st.floats(-400.0, 9000.0)

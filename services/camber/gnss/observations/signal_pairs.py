@@ -124,11 +124,7 @@ class SignalPairs(NamedTuple):
 
 @compiled
 def pair_signals(
-    rover: SignalColumns,
-    rover_usable: Integers,
-    base: SignalColumns,
-    base_usable: Integers,
-    groups: Booleans,
+    rover: SignalColumns, rover_usable: Integers, base: SignalColumns, base_usable: Integers, groups: Booleans
 ) -> SignalPairs:
     """Pairs of rows to be differenced, one for each satellite and band; `place` is −1 throughout.
 

@@ -22,13 +22,7 @@ from camber.gnss.observations.satellite_states import (
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import (
-    GROUPS,
-    L1_M,
-    WAVELENGTH_M,
-    SignalColumns,
-    SignalPairs,
-)
+from camber.gnss.observations.signal_pairs import GROUPS, L1_M, WAVELENGTH_M, SignalColumns, SignalPairs
 from camber.gnss.position.small_algebra import inner
 
 

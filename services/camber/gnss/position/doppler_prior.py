@@ -84,7 +84,4 @@ def _ecef(velocity: DopplerVelocity, single: SinglePoint) -> tuple[Floats, Float
         return None
     latitude, longitude, _ = geodetic(single.approximate_ecef_m)
     rotation = enu_from_ecef_rotation(latitude, longitude)
-    return (
-        rotation.T @ velocity.velocity_enu_m_s,
-        rotation.T @ velocity.covariance_enu_m2_s2 @ rotation,
-    )
+    return (rotation.T @ velocity.velocity_enu_m_s, rotation.T @ velocity.covariance_enu_m2_s2 @ rotation)

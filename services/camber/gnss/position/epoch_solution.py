@@ -13,11 +13,7 @@ from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
 from camber.gnss.ambiguity.fixed_solution import Estimate, estimate
 from camber.gnss.ambiguity.resolution import FixCriteria
-from camber.gnss.observations.satellite_states import (
-    EphemerisTable,
-    SatelliteStates,
-    states_at_transmission,
-)
+from camber.gnss.observations.satellite_states import EphemerisTable, SatelliteStates, states_at_transmission
 from camber.gnss.observations.signal_pairs import Booleans, SignalColumns, SignalPairs, pair_signals
 from camber.gnss.observations.single_differences import (
     Masks,

@@ -74,11 +74,7 @@ def rotated(covariance: np.ndarray) -> np.ndarray:
         return np.array(ecef_from_geodetic_scalar(LATITUDE + dlat, LONGITUDE + dlon, HEIGHT_M + dup))
 
     axes = np.array(
-        [
-            at(0, step, 0) - at(0, -step, 0),
-            at(step, 0, 0) - at(-step, 0, 0),
-            at(0, 0, 10.0) - at(0, 0, -10.0),
-        ]
+        [at(0, step, 0) - at(0, -step, 0), at(step, 0, 0) - at(-step, 0, 0), at(0, 0, 10.0) - at(0, 0, -10.0)]
     )
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     return axes @ covariance @ axes.T
@@ -117,10 +113,7 @@ def test_what_its_subsets_say_is_told_with_the_fix(said: Any) -> None:
 
 
 def test_of_an_epoch_that_is_not_fixed_nothing_is_said_about_fixed_ambiguities() -> None:
-    fix = fix_from_solution(
-        solution(quality="float", estimate=estimate(status=1)),
-        "WGS84",
-    )
+    fix = fix_from_solution(solution(quality="float", estimate=estimate(status=1)), "WGS84")
     assert fix is not None
     assert (fix.quality, fix.ambiguities_fixed, fix.success_rate, fix.phase_residuals) == (
         "float",

@@ -217,11 +217,7 @@ def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_th
     all_here = np.ones(len(SIGNALS), np.bool_)
     lost = [
         locks.detect(
-            e.time_ns,
-            keys,
-            has_phase=all_here,
-            min_lock_s=e.lock_time_s,
-            max_lock_s=e.lock_time_s + 1e-3,
+            e.time_ns, keys, has_phase=all_here, min_lock_s=e.lock_time_s, max_lock_s=e.lock_time_s + 1e-3
         )
         for e in epochs
     ]

@@ -141,11 +141,7 @@ def test_elevation_and_azimuth_are_those_of_the_local_frame():
 
 
 @settings(derandomize=True, max_examples=200)
-@given(
-    st.floats(-math.pi / 2, math.pi / 2),
-    st.floats(-math.pi, math.pi),
-    st.floats(-1e4, 3e7),
-)
+@given(st.floats(-math.pi / 2, math.pi / 2), st.floats(-math.pi, math.pi), st.floats(-1e4, 3e7))
 def test_the_compiled_place_is_that_of_the_geodesy(latitude, longitude, height):
     ecef = ecef_from_geodetic_scalar(latitude, longitude, height)
     expected = geodetic_from_ecef_scalar(*ecef)

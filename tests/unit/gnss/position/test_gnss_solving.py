@@ -178,8 +178,7 @@ def test_raw_observations_become_right_fixes(kind: Callable[[RawDrive], Tick], r
 def test_one_port_with_ubx_rtcm_and_nmea_gives_the_same(raw_drive: RawDrive) -> None:
     nmea = b"$GPGGA,013000.00,3510.0000,N,13652.0000,E,4,12,0.8,30.0,M,38.0,M,1.0,0001*5E\r\n"
     mixed = Run(
-        raw_drive,
-        lambda k: [("rover", "mixed", raw_drive.rtcm_parts[k] + nmea + raw_drive.ubx_parts[k])],
+        raw_drive, lambda k: [("rover", "mixed", raw_drive.rtcm_parts[k] + nmea + raw_drive.ubx_parts[k])]
     )
     assert len(mixed.fixed()) == EPOCHS
 
@@ -410,10 +409,7 @@ def test_a_base_that_never_speaks_leaves_single_points(raw_drive: RawDrive) -> N
 def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> None:
     run = Run(
         raw_drive,
-        lambda k: [
-            ("base", "rtcm", without(raw_drive, k, {1005})),
-            ("rover", "ubx", raw_drive.ubx_parts[k]),
-        ],
+        lambda k: [("base", "rtcm", without(raw_drive, k, {1005})), ("rover", "ubx", raw_drive.ubx_parts[k])],
     )
     assert run.bus.qualities() == ["single"] * EPOCHS
     text = run.bus.named()["base_position_missing"]
@@ -473,10 +469,7 @@ def test_a_satellite_that_is_there_twice_counts_once(raw_drive: RawDrive) -> Non
 
 
 def test_an_epoch_without_satellites_has_no_position_and_the_next_one_has(raw_drive: RawDrive) -> None:
-    run = Run(
-        raw_drive,
-        with_rover(raw_drive, lambda k, epoch: rows_of(epoch, []) if k in (3, 4) else epoch),
-    )
+    run = Run(raw_drive, with_rover(raw_drive, lambda k, epoch: rows_of(epoch, []) if k in (3, 4) else epoch))
     assert len(run.fixed()) == EPOCHS - 2
     assert run.bus.counters["epochs.none"] == 2
     assert run.service.healthy()

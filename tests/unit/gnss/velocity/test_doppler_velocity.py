@@ -165,9 +165,7 @@ def test_of_two_codes_of_a_band_the_one_with_the_better_carrier_to_noise_counts(
     twice = rows_of(epochs[4], np.concatenate((rows, rows)))
     worse = np.arange(twice.satellite.size) >= rows.size
     twice = replace(
-        twice,
-        doppler_hz=twice.doppler_hz + 300.0 * worse,
-        cn0_dbhz=twice.cn0_dbhz - 10.0 * worse,
+        twice, doppler_hz=twice.doppler_hz + 300.0 * worse, cn0_dbhz=twice.cn0_dbhz - 10.0 * worse
     )
     found = velocity_of(twice, store)
     np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
