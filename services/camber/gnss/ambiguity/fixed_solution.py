@@ -55,7 +55,6 @@ class Estimate(NamedTuple):
     fixed: int
     ratio: float
     success_rate: float
-    squared_norm: float
     phase_chi2: float
     phase_freedom: int
     integer: Floats
@@ -231,59 +230,37 @@ def _integers(
 
 
 @compiled
-def _float_only(status: int, position: FloatPosition, ambiguity_count: int) -> Estimate:
-    """The estimate without an attempt to resolve ambiguities."""
-    return Estimate(
-        status=status,
-        float_dx_m=position.dx_m,
-        float_covariance_m2=position.covariance_m2,
-        dx_m=position.dx_m,
-        covariance_m2=position.covariance_m2,
-        codes=position.used.sum(),
-        ambiguities=ambiguity_count,
-        fixed=0,
-        ratio=np.nan,
-        success_rate=np.nan,
-        squared_norm=np.nan,
-        phase_chi2=0.0,
-        phase_freedom=0,
-        integer=np.full(position.used.size, np.nan),
-    )
-
-
-@compiled
 def estimate(
     rows: SingleDifferences, usable: Booleans, prior: PositionPrior, criteria: FixCriteria
 ) -> Estimate:
     """Position from the usable rows (n,): float, and fixed where it passes all criteria; the prior is an offset."""
     position = float_with_prior(rows, usable, prior, criteria.code_outlier)
-    if position.freedom < 0:
-        return _float_only(NO_POSITION, position, 0)
-    if not inner(position.dx_m, position.dx_m) < _FAR_M**2:
-        return _float_only(FAR, position, 0)
-
-    unknown = ambiguities(
-        rows, _without_misplaced(rows, usable, position), position.dx_m, position.covariance_m2
-    )
-    count = unknown.value.size
-    if count < max(criteria.least_fixed, 1):
-        return _float_only(UNLIKELY, position, count)
-    resolution = resolve(unknown.value, unknown.covariance, criteria)
-
-    status, chi2, freedom = resolution.status, 0.0, 0
     dx, covariance, integer = position.dx_m, position.covariance_m2, np.full(usable.size, np.nan)
-    if status == RESOLVED:
-        dx, covariance = conditional_update(dx, covariance, unknown.position_covariance_m, resolution)
-        integer = _integers(rows, unknown, resolution, dx_m=dx, covariance_m2=covariance)
-        chi2, freedom = phase_residuals(rows, integer)
-        contradictory = resolution.squared_norm > chi2_limit(resolution.fixed, criteria.residual_quantile)
-        if freedom > 0:
-            contradictory = contradictory or chi2 > chi2_limit(freedom, criteria.residual_quantile)
-        if contradictory:
-            status = CONTRADICTORY
-        elif covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > criteria.largest_sigma_m**2:
-            status = IMPRECISE
-        covariance = covariance + rows.atmosphere_m2
+    status, count, fixed, ratio, success_rate, chi2, freedom = UNLIKELY, 0, 0, np.nan, np.nan, 0.0, 0
+    if position.freedom < 0:
+        status = NO_POSITION
+    elif not inner(position.dx_m, position.dx_m) < _FAR_M**2:
+        status = FAR
+    else:
+        kept = _without_misplaced(rows, usable, position)
+        unknown = ambiguities(rows, kept, position.dx_m, position.covariance_m2)
+        count = unknown.value.size
+    if count >= max(criteria.least_fixed, 1):
+        resolution = resolve(unknown.value, unknown.covariance, criteria)
+        status, fixed = resolution.status, resolution.fixed
+        ratio, success_rate = resolution.ratio, resolution.success_rate
+        if status == RESOLVED:
+            dx, covariance = conditional_update(dx, covariance, unknown.position_covariance_m, resolution)
+            integer = _integers(rows, unknown, resolution, dx_m=dx, covariance_m2=covariance)
+            chi2, freedom = phase_residuals(rows, integer)
+            contradictory = resolution.squared_norm > chi2_limit(fixed, criteria.residual_quantile)
+            if freedom > 0:
+                contradictory = contradictory or chi2 > chi2_limit(freedom, criteria.residual_quantile)
+            if contradictory:
+                status = CONTRADICTORY
+            elif covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > criteria.largest_sigma_m**2:
+                status = IMPRECISE
+            covariance = covariance + rows.atmosphere_m2
     return Estimate(
         status=status,
         float_dx_m=position.dx_m,
@@ -292,10 +269,9 @@ def estimate(
         covariance_m2=covariance,
         codes=position.used.sum(),
         ambiguities=count,
-        fixed=resolution.fixed,
-        ratio=resolution.ratio,
-        success_rate=resolution.success_rate,
-        squared_norm=resolution.squared_norm,
+        fixed=fixed,
+        ratio=ratio,
+        success_rate=success_rate,
         phase_chi2=chi2,
         phase_freedom=freedom,
         integer=integer,

@@ -55,33 +55,26 @@ class FixCriteria(NamedTuple):
 class Resolution(NamedTuple):
     """Result of `resolve` for n ambiguities, of which the decorrelated z[n − fixed:] are integers.
 
-    Only with `status` RESOLVED is anything fixed; otherwise `fixed` is 0 and the numbers are those of the last trial.
+    Only with `status` RESOLVED is anything fixed; otherwise `fixed` is 0 and the numbers are those of the last trial,
+    NaN before any. `ratio`: second-best squared norm over the best, `squared_norm`, (ẑ − ž)ᵀ Q_z⁻¹ (ẑ − ž).
+    `success_rate`: of integer bootstrapping of the subset searched, a lower bound of that of integer least squares.
+    `nodes` visited in all searches, `trials`: one, and one more each time the ratio was too low. z = Z a; `z_fixed` ž
+    and `z_residual` ẑ − ž (n,) are NaN where not fixed. `ambiguities` (n,): a given the fixed z, exact integers where
+    all are fixed, the floats where nothing is.
     """
 
     status: int
     fixed: int
-    """k: the last k decorrelated ambiguities are fixed."""
     ratio: float
-    """Second-best squared norm over the best; NaN before any search."""
     ratio_needed: float
     squared_norm: float
-    """(ẑ − ž)ᵀ Q_z⁻¹ (ẑ − ž) of the best integers, of the subset searched."""
-    second_squared_norm: float
     success_rate: float
-    """Of integer bootstrapping of the subset searched: a lower bound of that of integer least squares."""
-    adop_cycles: float
-    """Ambiguity dilution of precision, of all n."""
     nodes: int
     trials: int
-    """Subsets searched: one, and one more each time the ratio was too low."""
     z: Decorrelation
-    """z = Z a; its last k rows are the combinations that are fixed."""
     z_fixed: Floats
-    """ž (n,): integers, NaN where not fixed."""
     z_residual: Floats
-    """ẑ − ž (n,), NaN where not fixed."""
     ambiguities: Floats
-    """a (n,) given the fixed z: exact integers where all are fixed, the floats where nothing is."""
 
 
 @compiled
@@ -97,15 +90,6 @@ def bootstrapped_log_success(variances: Floats, count: int) -> float:
 
 
 @compiled
-def adop_cycles(variances: Floats) -> float:
-    """|Q|^(1 / 2n) in cycles, from the conditional variances (n,)."""
-    total = 0.0
-    for i in range(variances.size):
-        total += math.log(variances[i])
-    return math.exp(0.5 * total / variances.size)
-
-
-@compiled
 def resolve(floats: Floats, covariance: Floats, criteria: FixCriteria) -> Resolution:
     """Integers of float ambiguities (n,) with covariance (n, n), by LAMBDA.
 
@@ -114,34 +98,13 @@ def resolve(floats: Floats, covariance: Floats, criteria: FixCriteria) -> Resolu
     and a smaller one as long as the ratio is too low, down to `least_fixed` of z; without it all or none, and all
     must reach `least_success_rate` (0 to do without). `most_nodes` bounds all searches together.
     """
-    count = floats.size
-    valid = count > 0 and covariance.shape == (count, count)
-    for i in range(count):
-        valid = valid and np.isfinite(floats[i])
-    if not valid:
-        return _unresolved(floats, Decorrelation(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
-    definite, z = decorrelated(covariance)
-    if not definite:
-        return _unresolved(floats, z)
-    whole = np.rint(floats)
-    z_whole, z_floats = np.zeros(count), np.zeros(count)
-    for row in range(count):
-        size = 0.0
-        for column in range(count):
-            entry = z.transform[row, column]
-            size += abs(entry * whole[column])
-            z_whole[row] += entry * whole[column]
-            z_floats[row] += entry * (floats[column] - whole[column])
-        if not size < _LARGEST_EXACT:
-            return _unresolved(floats, z)
-
-    least = max(1, criteria.least_fixed)
-    tried = count
+    count, least = floats.size, max(1, criteria.least_fixed)
+    valid, z, z_whole, z_floats = _decorrelated_floats(floats, covariance)
+    status, tried = (UNLIKELY, count) if valid else (INVALID, 0)
     least_log = math.log(criteria.least_success_rate) if criteria.least_success_rate > 0.0 else -np.inf
     while tried >= least and bootstrapped_log_success(z.variances, tried) < least_log:
         tried = tried - 1 if criteria.partial else 0
-    needed = criteria.least_ratio
-    status, ratio, best, second, nodes, trials, log_success = UNLIKELY, np.nan, np.nan, np.nan, 0, 0, np.nan
+    ratio, needed, best, nodes, trials, log_success = np.nan, criteria.least_ratio, np.nan, 0, 0, np.nan
     z_fixed, z_residual, ambiguities = np.full(count, np.nan), np.full(count, np.nan), floats.copy()
     while tried >= least:
         first = count - tried
@@ -158,8 +121,8 @@ def resolve(floats: Floats, covariance: Floats, criteria: FixCriteria) -> Resolu
         if obtained < 2:
             status = SEARCH_CUT
             break
-        best, second = norms[0], norms[1]
-        ratio = second / best if best > 0.0 else np.inf
+        best = norms[0]
+        ratio = norms[1] / best if best > 0.0 else np.inf
         if criteria.failure_rate > 0.0:
             needed = ratio_for_failure_rate(tried, -math.expm1(log_success), criteria.failure_rate)
         if ratio > needed:
@@ -184,9 +147,7 @@ def resolve(floats: Floats, covariance: Floats, criteria: FixCriteria) -> Resolu
         ratio=ratio,
         ratio_needed=needed,
         squared_norm=best,
-        second_squared_norm=second,
         success_rate=math.exp(log_success),
-        adop_cycles=adop_cycles(z.variances),
         nodes=nodes,
         trials=trials,
         z=z,
@@ -232,25 +193,25 @@ def conditional_update(
 
 
 @compiled
-def _unresolved(floats: Floats, z: Decorrelation) -> Resolution:
-    """The resolution of invalid input."""
-    nan, unknown = np.nan, np.full(floats.size, np.nan)
-    return Resolution(
-        status=INVALID,
-        fixed=0,
-        ratio=nan,
-        ratio_needed=nan,
-        squared_norm=nan,
-        second_squared_norm=nan,
-        success_rate=nan,
-        adop_cycles=nan,
-        nodes=0,
-        trials=0,
-        z=z,
-        z_fixed=unknown,
-        z_residual=unknown.copy(),
-        ambiguities=floats.copy(),
-    )
+def _decorrelated_floats(floats: Floats, covariance: Floats) -> tuple[bool, Decorrelation, Floats, Floats]:
+    """Whether the input is valid, its decorrelation, and Z times the integers nearest to the floats and the rest."""
+    count = floats.size
+    z_whole, z_floats = np.zeros(count), np.zeros(count)
+    if count == 0 or covariance.shape != (count, count) or not np.isfinite(floats).all():
+        nothing = np.zeros((0, 0))
+        return False, Decorrelation(nothing, np.zeros(0), nothing), z_whole, z_floats
+    valid, z = decorrelated(covariance)
+    if valid:
+        whole = np.rint(floats)
+        for row in range(count):
+            size = 0.0
+            for column in range(count):
+                entry = z.transform[row, column]
+                size += abs(entry * whole[column])
+                z_whole[row] += entry * whole[column]
+                z_floats[row] += entry * (floats[column] - whole[column])
+            valid = valid and size < _LARGEST_EXACT
+    return valid, z, z_whole, z_floats
 
 
 @compiled

@@ -13,7 +13,14 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, ObservationEpoch
-from camber.gnss.observations.signal_pairs import WAVELENGTH_M, Booleans, band_of, group_of
+from camber.gnss.observations.signal_pairs import (
+    WAVELENGTH_M,
+    Booleans,
+    SignalColumns,
+    band_of,
+    columns_of,
+    group_of,
+)
 
 REASONS = (
     "continuous", "new", "gap", "receiver_flag", "lock_time", "half_cycle", "geometry_free", "doppler",
@@ -44,19 +51,6 @@ class _PhaseStates(NamedTuple):
     half_cycle: Booleans
 
 
-class _Phases(NamedTuple):
-    """Columns (n,) of one epoch."""
-
-    time_ns: int
-    satellite: Integers
-    signal: Integers
-    phase_cycles: Floats
-    doppler_hz: Floats
-    lock_s: Floats
-    flagged: Booleans
-    half_cycle: Booleans
-
-
 class CycleSlipDetector:
     """Assigns each phase of one receiver the number of its arc; numbers are never used twice."""
 
@@ -75,17 +69,7 @@ class CycleSlipDetector:
 
     def update(self, epoch: ObservationEpoch) -> Integers:
         """The arc of each row (n,), 0 for rows without a phase. Epochs come in the order of their time."""
-        phases = _Phases(
-            time_ns=epoch.time_ns,
-            satellite=epoch.satellite,
-            signal=epoch.signal,
-            phase_cycles=epoch.carrier_phase_cycles,
-            doppler_hz=epoch.doppler_hz,
-            lock_s=epoch.lock_time_s,
-            flagged=epoch.loss_of_lock,
-            half_cycle=epoch.half_cycle,
-        )
-        return _update(self._states, phases, self.begun, self._gap_ns)
+        return _update(self._states, columns_of(epoch), self.begun, self._gap_ns)
 
 
 @compiled
@@ -106,12 +90,12 @@ def _is_continuous(slots: Integers, reason: Integers, row: int) -> bool:
 
 
 @compiled
-def _update(states: _PhaseStates, phases: _Phases, begun: Integers, gap_ns: int) -> Integers:
+def _update(states: _PhaseStates, phases: SignalColumns, begun: Integers, gap_ns: int) -> Integers:
     """Test all phases for cycle slips; the arc of each row (n,)."""
     n, time_ns = phases.satellite.size, phases.time_ns
     slots, wavelength_m = np.full(n, -1, np.int64), np.full(n, np.nan)
     for i in range(n):
-        if abs(phases.phase_cycles[i]) < np.inf:
+        if abs(phases.carrier_phase_cycles[i]) < np.inf:
             slots[i] = _slot(phases.satellite[i], phases.signal[i])
         if slots[i] >= 0:
             wavelength_m[i] = WAVELENGTH_M[group_of(phases.satellite[i], phases.signal[i])]
@@ -129,9 +113,9 @@ def _update(states: _PhaseStates, phases: _Phases, begun: Integers, gap_ns: int)
             states.arc[slot] = begun.sum()
         arcs[i] = states.arc[slot]
         states.time_ns[slot] = time_ns
-        states.phase_cycles[slot] = phases.phase_cycles[i]
+        states.phase_cycles[slot] = phases.carrier_phase_cycles[i]
         states.doppler_hz[slot] = phases.doppler_hz[i]
-        states.lock_s[slot] = phases.lock_s[i]
+        states.lock_s[slot] = phases.lock_time_s[i]
         states.half_cycle[slot] = phases.half_cycle[i]
     return arcs
 
@@ -139,7 +123,7 @@ def _update(states: _PhaseStates, phases: _Phases, begun: Integers, gap_ns: int)
 @compiled
 def _test_signals(
     states: _PhaseStates,
-    phases: _Phases,
+    phases: SignalColumns,
     slots: Integers,
     reason: Integers,
     gap_ns: int,
@@ -159,15 +143,17 @@ def _test_signals(
         if since_ns <= 0 or since_ns > gap_ns:
             reason[i] = _GAP
             continue
-        lock_s = phases.lock_s[i]
-        if phases.flagged[i]:
+        lock_s = phases.lock_time_s[i]
+        if phases.loss_of_lock[i]:
             reason[i] = _FLAG
         elif lock_s < states.lock_s[slot] - _LOCK_ROUNDING_S or lock_s < 0.5 * since_s:
             reason[i] = _LOCK
         elif phases.half_cycle[i] != states.half_cycle[slot]:
             reason[i] = _HALF
         predicted = -0.5 * (phases.doppler_hz[i] + states.doppler_hz[slot]) * since_s
-        mismatch_m[i] = (phases.phase_cycles[i] - states.phase_cycles[slot] - predicted) * wavelength_m[i]
+        mismatch_m[i] = (
+            phases.carrier_phase_cycles[i] - states.phase_cycles[slot] - predicted
+        ) * wavelength_m[i]
     return mismatch_m
 
 
@@ -188,9 +174,10 @@ def _test_doppler(
 
 @compiled
 def _test_geometry_free(
-    states: _PhaseStates, phases: _Phases, slots: Integers, reason: Integers, wavelength_m: Floats
+    states: _PhaseStates, phases: SignalColumns, slots: Integers, reason: Integers, wavelength_m: Floats
 ) -> None:
     """Jumps of the geometry-free combination of two bands; which of the two slipped is not known, so both arcs end."""
+    cycles = phases.carrier_phase_cycles
     for i in range(slots.size):
         for j in range(i):
             if phases.satellite[j] != phases.satellite[i] or not (
@@ -202,7 +189,7 @@ def _test_geometry_free(
                 continue
             if (phases.time_ns - before_ns) * 1e-9 > _LONGEST_FREE_S:
                 continue
-            moved_m = phases.phase_cycles[i] * wavelength_m[i] - phases.phase_cycles[j] * wavelength_m[j]
+            moved_m = cycles[i] * wavelength_m[i] - cycles[j] * wavelength_m[j]
             moved_m -= states.phase_cycles[slots[i]] * wavelength_m[i]
             moved_m += states.phase_cycles[slots[j]] * wavelength_m[j]
             if abs(moved_m) > _GEOMETRY_FREE_THRESHOLD_M:

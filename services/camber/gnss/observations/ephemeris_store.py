@@ -17,7 +17,8 @@ from camber.formats.observations import (
     satellite_name,
 )
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
-from camber.gnss.observations.satellite_states import ELEMENTS, MOST_BANDS, EphemerisTable
+from camber.gnss.observations.satellite_states import ELEMENTS, EphemerisTable
+from camber.gnss.observations.signal_pairs import MOST_BANDS
 
 Refusal = Literal["system", "not_finite", "orbit", "clock", "times", "unhealthy"]
 """Why an ephemeris is refused; `unhealthy` ones are kept and not used."""

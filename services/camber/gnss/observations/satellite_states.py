@@ -20,8 +20,6 @@ from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJO
 
 EARTH_ROTATION_RAD_S = 7.2921151467e-5
 """IS-GPS-200N, for the frame of ranges; orbits use their system's rate, a column of the table."""
-MOST_BANDS = 10
-"""Columns of `group_delay_s`: a band is the digit of a signal's code (RINEX 3.04)."""
 
 (
     TOE_OF_WEEK_S, SEMI_MAJOR_M, ECCENTRICITY, ROOT_ONE_MINUS_E2, MEAN_MOTION_RAD_S, MEAN_ANOMALY_RAD,

@@ -14,14 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import CARRIER_OF_BAND_HZ, SPEED_OF_LIGHT_M_S, Floats, Integers
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    Floats,
+    Integers,
+    ObservationEpoch,
+)
 
 Booleans = NDArray[np.bool_]
 
 SYSTEMS = "GEC"
 """Systems with a receiver clock each; QZSS belongs to GPS. A group's number is (10 · index + band) · 4 + family."""
 _MOST_FAMILIES = 4  # families of codes that the numbering of groups has room for
-GROUPS = 10 * len(SYSTEMS) * _MOST_FAMILIES
+MOST_BANDS = 10  # a band is the digit of a signal's code (RINEX 3.04)
+GROUPS = len(SYSTEMS) * MOST_BANDS * _MOST_FAMILIES
 
 _FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
     "G": {"1": ("C", "SLX", "PWYM"), "2": ("SLX", "PWYM", "C"), "5": ("IQX",)},
@@ -42,26 +49,20 @@ def _family_table() -> NDArray[np.int8]:
     return table
 
 
-def _wavelengths() -> Floats:
-    table = np.full(GROUPS, np.nan)
-    for place, letter in enumerate(SYSTEMS):
-        for band, carrier in CARRIER_OF_BAND_HZ[letter].items():
-            first = _MOST_FAMILIES * (10 * place + int(band))
-            table[first : first + _MOST_FAMILIES] = SPEED_OF_LIGHT_M_S / carrier
-    return table
-
-
-def _places() -> NDArray[np.int8]:
-    table = np.full(128, -1, np.int8)
-    for place, letter in enumerate(SYSTEMS):
-        table[ord(letter)] = place
-    table[ord("J")] = SYSTEMS.index("G")
+def _carriers() -> Floats:
+    table = np.full((128, MOST_BANDS), np.nan)
+    for letter, bands in CARRIER_OF_BAND_HZ.items():
+        table[ord(letter), [int(band) for band in bands]] = list(bands.values())
     return table
 
 
 _FAMILY = _family_table()
-_PLACE = _places()
-WAVELENGTH_M = _wavelengths()
+CARRIER_HZ = _carriers()
+"""By system letter and band (128, 10); NaN for a band that the system has not got."""
+SYSTEM_INDEX = np.full(128, -1)
+"""Index in `SYSTEMS` by system letter (128,); −1: not used."""
+SYSTEM_INDEX[[ord(letter) for letter in "GJEC"]] = [0, 0, 1, 2]
+WAVELENGTH_M = np.repeat(SPEED_OF_LIGHT_M_S / CARRIER_HZ[[ord(letter) for letter in SYSTEMS]], _MOST_FAMILIES)
 """Of each group (120,); NaN for a band that the system has not got."""
 L1_M = SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"]["1"]
 
@@ -79,38 +80,45 @@ def band_of(group: int) -> int:
 
 def groups_of(bands: dict[str, str]) -> Booleans:
     """Groups in use (120,), from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
-    used = np.zeros(GROUPS, np.bool_)
+    used = np.zeros((len(SYSTEMS), MOST_BANDS, _MOST_FAMILIES), np.bool_)
     for letter, digits in bands.items():
         for band in digits:
             if letter not in SYSTEMS or band not in CARRIER_OF_BAND_HZ[letter]:
                 raise ValueError(f"{letter}{band}: expected a system of {SYSTEMS} and one of its bands")
-            first = _MOST_FAMILIES * (10 * SYSTEMS.index(letter) + int(band))
-            used[first : first + _MOST_FAMILIES] = True
-    return used
+            used[SYSTEMS.index(letter), int(band)] = True
+    return used.ravel()
 
 
 @compiled
 def group_of(satellite: int, signal: int) -> int:
     """Group of a signal (numbers of `camber.formats.observations`); −1 where it is not used."""
     letter, band, code = satellite >> 8, (signal >> 8) - 48, signal & 127
-    if letter < 0 or letter > 127 or band < 0 or band > 9 or _PLACE[letter] < 0:
+    if letter < 0 or letter > 127 or band < 0 or band > 9 or SYSTEM_INDEX[letter] < 0:
         return -1
     family = _FAMILY[letter, band, code]
     if family < 0:
         return -1
-    return int((10 * _PLACE[letter] + band) * _MOST_FAMILIES + family)
+    return int((10 * SYSTEM_INDEX[letter] + band) * _MOST_FAMILIES + family)
 
 
 class SignalColumns(NamedTuple):
-    """Columns (n,) of one receiver's epoch for the compiled code; names as in `ObservationEpoch`."""
+    """An `ObservationEpoch` for the compiled code."""
 
     time_ns: int
     satellite: Integers
     signal: Integers
     pseudorange_m: Floats
     carrier_phase_cycles: Floats
+    doppler_hz: Floats
     cn0_dbhz: Floats
+    lock_time_s: Floats
+    loss_of_lock: Booleans
     half_cycle: Booleans
+
+
+def columns_of(epoch: ObservationEpoch) -> SignalColumns:
+    """Columns of an epoch for the compiled code."""
+    return SignalColumns(*(getattr(epoch, name) for name in SignalColumns._fields))
 
 
 class SignalPairs(NamedTuple):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.gnss.ambiguity.fixed_solution import Estimate, estimate
 from camber.gnss.ambiguity.resolution import FixCriteria
 from camber.gnss.observations.satellite_states import EphemerisTable, SatelliteStates, states_at_transmission
@@ -58,19 +58,6 @@ class EpochSolution(NamedTuple):
     satellites: int
     rows: SingleDifferences
     estimate: Estimate
-
-
-def columns_of(epoch: ObservationEpoch) -> SignalColumns:
-    """Columns of an epoch for the compiled code."""
-    return SignalColumns(
-        time_ns=epoch.time_ns,
-        satellite=epoch.satellite,
-        signal=epoch.signal,
-        pseudorange_m=epoch.pseudorange_m,
-        carrier_phase_cycles=epoch.carrier_phase_cycles,
-        cn0_dbhz=epoch.cn0_dbhz,
-        half_cycle=epoch.half_cycle,
-    )
 
 
 @compiled

@@ -11,12 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
-
-Booleans = NDArray[np.bool_]
+from camber.gnss.observations.signal_pairs import Booleans
 
 OK, TOO_FEW, DEGENERATE, INCONSISTENT = range(4)
 """`TOO_FEW`: fewer rows than unknowns. `DEGENERATE`: the rows do not determine all unknowns."""
@@ -64,6 +62,26 @@ class RobustFit(NamedTuple):
 
 
 @compiled
+def empty_model(n: int, p: int) -> LinearModel:
+    """A model of zeros, without priors, to be written."""
+    return LinearModel(np.zeros((n, p)), np.zeros(n), sigma=np.ones(n), prior_sigma=np.full(p, np.inf))
+
+
+@compiled
+def empty_fit(status: int, n: int, p: int) -> RobustFit:
+    """The fit of no rows."""
+    return RobustFit(
+        status,
+        np.full(p, np.nan),
+        covariance=np.full((p, p), np.nan),
+        residual=np.full(n, np.nan),
+        used=np.zeros(n, np.bool_),
+        chi_squared=np.nan,
+        degrees=0,
+    )
+
+
+@compiled
 def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) -> RobustFit:
     """Fit the candidate rows (n,) and exclude outliers.
 
@@ -76,7 +94,7 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
     """
     n = model.observed.size
     used = candidate.copy()
-    count = count_of(candidate)
+    count = candidate.sum()
     least = count - count // 2
     fit = _solve(model, used)
     status = fit.status
@@ -84,14 +102,14 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
         worst, w_squared = _largest_residual(model, used, fit)
         if not is_suspect(fit, w_squared, count, false_alarm):
             break
-        if worst < 0 or fit.degrees < 2 or count_of(used) <= least:
+        if worst < 0 or fit.degrees < 2 or used.sum() <= least:
             status = INCONSISTENT
             break
         used[worst] = False
         fit = _solve(model, used)
         status = fit.status
-    if status == INCONSISTENT or (status == OK and count - count_of(used) > 2):
-        most = count - count_of(used) if status == OK else 4
+    if status == INCONSISTENT or (status == OK and count - used.sum() > 2):
+        most = count - used.sum() if status == OK else 4
         excluded = _smallest_exclusion(model, candidate, most, false_alarm)
         if excluded.size > 0:
             used[:] = candidate
@@ -99,7 +117,7 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
             fit = _solve(model, used)
             status = fit.status
     if status == OK:
-        for _ in range(count - count_of(used)):
+        for _ in range(count - used.sum()):
             row = _row_to_readmit(model, candidate & ~used, fit, count=count, false_alarm=false_alarm)
             if row < 0:
                 break
@@ -201,15 +219,6 @@ def _best_triple(v: Floats, redundancy: Floats) -> Integers:
                     if lost + off * off / remaining > greatest:
                         greatest, best = lost + off * off / remaining, np.array([k, j, i])
     return best
-
-
-@compiled
-def count_of(rows: Booleans) -> int:
-    """Number of true entries."""
-    count = 0
-    for i in range(rows.size):
-        count += rows[i]
-    return count
 
 
 @compiled
@@ -391,21 +400,9 @@ def _inverse_of_lower(normal: Floats) -> Floats:
 
 
 @compiled
-def dilutions(design: Floats, used: Booleans, rotation: Floats) -> tuple[float, float, float]:
-    """GDOP, HDOP, VDOP of a design whose first three unknowns are a position in ECEF; `rotation` (3, 3) turns to ENU.
-
-    NaN where there is none.
-    """
+def horizontal_dilution(design: Floats, used: Booleans) -> float:
+    """HDOP of a design whose first two unknowns are east and north; NaN where there is none."""
     n, p = design.shape
-    fit = _solve(LinearModel(design, np.zeros(n), np.ones(n), np.full(p, np.inf)), used)
-    covariance = fit.covariance
-    if fit.status != OK or not covariance[0, 0] + covariance[1, 1] + covariance[2, 2] < np.inf:
-        return np.nan, np.nan, np.nan
-    total = 0.0
-    for a in range(p):
-        if covariance[a, a] == covariance[a, a]:
-            total += covariance[a, a]
-    of_axis = np.zeros(3)
-    for k in range(3):
-        of_axis[k] = _fitted_covariance(rotation[k], rotation[k], covariance[:3, :3])
-    return math.sqrt(total), math.sqrt(of_axis[0] + of_axis[1]), math.sqrt(of_axis[2])
+    model = LinearModel(design, np.zeros(n), sigma=np.ones(n), prior_sigma=np.full(p, np.inf))
+    covariance = _solve(model, used).covariance
+    return math.sqrt(covariance[0, 0] + covariance[1, 1])

@@ -22,10 +22,11 @@ from camber.gnss.observations.base_station import BaseStation
 from camber.gnss.observations.cycle_slips import CycleSlipDetector
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
+from camber.gnss.observations.signal_pairs import columns_of
 from camber.gnss.observations.single_differences import Noise, SingleDifferences
 from camber.gnss.position.doppler_prior import DopplerPrior
 from camber.gnss.position.engine_settings import EngineSettings
-from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, columns_of, solve_epoch
+from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, solve_epoch
 from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior
 from camber.gnss.position.single_point import NO_IONOSPHERE, SinglePoint, single_point
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity, doppler_velocity

@@ -25,14 +25,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import (
-    CARRIER_OF_BAND_HZ,
-    SPEED_OF_LIGHT_M_S,
-    Floats,
-    Integers,
-    ObservationEpoch,
-    satellite_name,
-)
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.gnss.observations.atmosphere import (
     IONOSPHERE_CARRIER_HZ,
@@ -43,38 +36,35 @@ from camber.gnss.observations.atmosphere import (
 )
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import (
-    MOST_BANDS,
     SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,
     range_to,
     states_at_transmission,
 )
+from camber.gnss.observations.signal_pairs import (
+    CARRIER_HZ,
+    MOST_BANDS,
+    SYSTEM_INDEX,
+    Booleans,
+    SignalColumns,
+    columns_of,
+)
 from camber.gnss.position.robust_least_squares import (
     DEGENERATE,
     INCONSISTENT,
     OK,
-    TOO_FEW,
-    Booleans,
     LinearModel,
     RobustFit,
     consistent_fit,
-    dilutions,
+    empty_fit,
+    empty_model,
 )
 
 Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_convergence"]
 """`inconsistent`: the measurements contradict one another and no consistent, testable subset is left."""
-CLOCK_GROUPS = "GEC"
-"""A receiver clock for each; QZSS goes with GPS."""
-
+_STATUS: tuple[Status, ...] = ("ok", "too_few", "degenerate", "inconsistent", "no_convergence")
 _NO_CONVERGENCE = 4  # a status after those of `robust_least_squares`
-_STATUS: dict[int, Status] = {
-    OK: "ok",
-    TOO_FEW: "too_few",
-    DEGENERATE: "degenerate",
-    INCONSISTENT: "inconsistent",
-    _NO_CONVERGENCE: "no_convergence",
-}
 _BAND_RANK = {"G": "125", "J": "125", "E": "17586", "C": "216758"}  # the least ionosphere first
 _UNKNOWNS = 9  # x, y, z, three clocks, the vertical ionosphere and its gradients to the east and north
 # Thin shell of the ionosphere at 350 km (IS-GPS-200N, 20.3.3.5.2.5).
@@ -85,55 +75,26 @@ _NO_START_M = 1.0e5  # chosen: a start farther off sees other satellites above i
 _FINE_M = 10.0  # derived: within it a linear step errs by 10² / 4e7 m
 _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above any road
 
-
-class SinglePointOptions(NamedTuple):
-    """Mask, false-alarm rate of the test and standard deviations of the module's error model."""
-
-    lowest_elevation_rad: float = math.radians(10.0)
-    false_alarm: float = 1.0e-4
-    noise_m: float = 0.3
-    background_m: float = 0.3
-    troposphere_m: float = 0.1
-    satellite_m: float = 0.8
-    ionosphere_share: float = 0.5
-    """Error of the model's vertical delay, a share of it (IS-GPS-200N: half of it at most, r.m.s.)."""
-    least_ionosphere_m: float = 0.5
-    ionosphere_scale_rad: float = math.radians(10.0)
-    """Angle over which a gradient changes the vertical delay by the model's error."""
-    unknown_ionosphere_m: float = 7.0
-    """Replaces both where the coefficients of the model are not known."""
-    ionosphere_rest: float = 0.1
-    """Share of the model's slant delay that differs from satellite to satellite."""
-
-
-def _carriers() -> Floats:
-    table = np.full((128, MOST_BANDS), np.nan)
-    for letter, bands in CARRIER_OF_BAND_HZ.items():
-        for band, carrier in bands.items():
-            table[ord(letter), int(band)] = carrier
-    return table
+# Chosen: mask, false-alarm rate of the test and standard deviations of the error model above.
+_LOWEST_ELEVATION_RAD = math.radians(10.0)
+_FALSE_ALARM = 1.0e-4
+_NOISE_M, _BACKGROUND_M, _TROPOSPHERE_M, _SATELLITE_M = 0.3, 0.3, 0.1, 0.8
+_IONOSPHERE_SHARE, _LEAST_IONOSPHERE_M = 0.5, 0.5
+"""Error of the model's vertical delay, a share of it (IS-GPS-200N: half of it at most, r.m.s.), and its least."""
+_UNKNOWN_IONOSPHERE_M = 7.0  # chosen: replaces both where the coefficients of the model are not known
+_IONOSPHERE_SCALE_RAD = math.radians(10.0)
+"""Chosen: angle over which a gradient changes the vertical delay by the model's error."""
+_IONOSPHERE_REST = 0.1  # chosen: share of the model's slant delay that differs from satellite to satellite
 
 
 def _ranks() -> Integers:
     table = np.full((128, MOST_BANDS), -1, np.int64)
     for letter, bands in _BAND_RANK.items():
-        for rank, band in enumerate(bands):
-            table[ord(letter), int(band)] = rank
+        table[ord(letter), [int(band) for band in bands]] = range(len(bands))
     return table
 
 
-def _groups() -> Integers:
-    table = np.full(128, -1, np.int64)
-    for group, letters in enumerate(("GJ", "E", "C")):
-        for letter in letters:
-            table[ord(letter)] = group
-    return table
-
-
-CARRIER_HZ = _carriers()
-"""By system letter and band (128, 10); NaN for a band that the system has not got."""
 _RANK = _ranks()
-_GROUP = _groups()
 NO_IONOSPHERE: Floats = np.zeros(0)
 
 
@@ -148,40 +109,28 @@ class Codes(NamedTuple):
 class SinglePoint:
     """Single-point solution of one epoch; columns (m,) by satellite, each satellite once, in the order of the epoch.
 
-    `position_ecef_m` (3,), `covariance_ecef_m2`, `covariance_enu_m2` (3, 3), `clock_m` (3,) by `CLOCK_GROUPS` (receiver
-    clock minus system time, times c) are NaN unless the status is `ok`, a clock also where its group was not used.
-    `approximate_ecef_m` is the last iterate, consistent or not, for linearisation only. `used` went into the position,
-    `excluded` are outliers; neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. Directions,
-    elevation, azimuth, residuals are NaN where they are not known.
+    `position_ecef_m` (3,), `covariance_ecef_m2` (3, 3), `clock_m` (3,) by `SYSTEMS` (receiver clock minus system time,
+    times c) are NaN unless the status is `ok`, a clock also where its group was not used. `approximate_ecef_m` is the
+    last iterate, consistent or not, for linearisation only. `used` went into the position, `excluded` are outliers;
+    neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. Elevation and residuals are NaN where they
+    are not known.
     """
 
     time_ns: int
     status: Status
     position_ecef_m: Floats
     covariance_ecef_m2: Floats
-    covariance_enu_m2: Floats
     approximate_ecef_m: Floats
     clock_m: Floats
     chi_squared: float
     degrees: int
-    gdop: float
-    hdop: float
-    vdop: float
     satellite: Integers
     codes: Codes
     states: SatelliteStates
     used: Booleans
     excluded: Booleans
     residual_m: Floats
-    sigma_m: Floats
-    direction: Floats
     elevation_rad: Floats
-    azimuth_rad: Floats
-
-    @property
-    def excluded_names(self) -> list[str]:
-        """Names of the excluded satellites, `["G05"]`."""
-        return [satellite_name(s) for s in self.satellite[self.excluded].tolist()]
 
 
 def single_point(
@@ -195,54 +144,32 @@ def single_point(
     Never raises for what an epoch holds: no satellites, many, the same twice, NaN.
     """
     codes = codes_of(epoch.satellite, epoch.signal, epoch.pseudorange_m, epoch.cn0_dbhz)
-    satellite = epoch.satellite[codes.row]
+    satellite, table = epoch.satellite[codes.row], ephemerides.table
     ephemeris = ephemerides.rows_at(epoch.time_ns, satellite)
-    pseudorange_m = epoch.pseudorange_m[codes.row]
-    states = states_at_transmission(ephemerides.table, ephemeris, epoch.time_ns, pseudorange_m)
-    inputs = _CodeInputs(
-        ephemeris=ephemeris,
-        states=states,
-        satellite=satellite,
-        signal=epoch.signal[codes.row],
-        pseudorange_m=pseudorange_m,
-        cn0_dbhz=epoch.cn0_dbhz[codes.row],
-        ionosphere=ionosphere,
-        of_week_s=epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND,
+    states = states_at_transmission(table, ephemeris, epoch.time_ns, epoch.pseudorange_m[codes.row])
+    rows = _rows_of(
+        columns_of(epoch), codes.row, states, ephemeris=ephemeris, group_delay_s=table.group_delay_s
     )
     start = np.zeros(3) if start_ecef_m is None else start_ecef_m
-    status, converged, at, fit, rows = _iterate(
-        inputs, ephemerides.table.group_delay_s, start, SinglePointOptions()
-    )
+    of_week_s = epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND
+    status, converged, at, fit = _iterate(rows, start, ionosphere, of_week_s)
     ok, tested = status == OK, status in (OK, INCONSISTENT)
-    covariance, rotation = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
-    gdop, hdop, vdop = np.nan, np.nan, np.nan
-    if ok:
-        latitude, longitude, _ = geodetic(at)
-        rotation, covariance = enu_from_ecef_rotation(latitude, longitude), fit.covariance[:3, :3].copy()
-        gdop, hdop, vdop = dilutions(rows.model.design[:, :6], fit.used, rotation)
     return SinglePoint(
         time_ns=epoch.time_ns,
         status=_STATUS[status],
         position_ecef_m=at if ok else np.full(3, np.nan),
-        covariance_ecef_m2=covariance,
-        covariance_enu_m2=rotated_covariance(rotation, covariance),
+        covariance_ecef_m2=fit.covariance[:3, :3].copy() if ok else np.full((3, 3), np.nan),
         approximate_ecef_m=at if converged else np.full(3, np.nan),
         clock_m=fit.value[3:6] if ok else np.full(3, np.nan),
         chi_squared=fit.chi_squared if converged else np.nan,
         degrees=fit.degrees,
-        gdop=gdop,
-        hdop=hdop,
-        vdop=vdop,
         satellite=satellite,
         codes=codes,
         states=states,
         used=fit.used & tested,
         excluded=rows.candidate & ~fit.used & tested,
         residual_m=fit.residual,
-        sigma_m=rows.model.sigma,
-        direction=rows.direction,
         elevation_rad=rows.elevation_rad,
-        azimuth_rad=rows.azimuth_rad,
     )
 
 
@@ -277,102 +204,79 @@ def codes_of(satellite: Integers, signal: Integers, pseudorange_m: Floats, cn0_d
     return Codes(row[:count].copy(), place)
 
 
-class _CodeInputs(NamedTuple):
-    """Columns (m,) by satellite: its row in the table of ephemerides or −1, its state, its code."""
-
-    ephemeris: Integers
-    states: SatelliteStates
-    satellite: Integers
-    signal: Integers
-    pseudorange_m: Floats
-    cn0_dbhz: Floats
-    ionosphere: Floats
-    of_week_s: float
-
-
 class _Rows(NamedTuple):
-    """Columns (m,) of the linearised model; the first four are fixed, the rest is written for each linearisation.
+    """Columns (m,) of the linearised model by satellite; the last three are written for each linearisation.
 
     `range_m`: code with satellite clock and group delay applied. `dispersion`: (f₁/f)². `measurable`: both are known.
     """
 
+    position_m: Floats
+    cn0_dbhz: Floats
     group: Integers
     range_m: Floats
     dispersion: Floats
     measurable: Booleans
     model: LinearModel
     candidate: Booleans
-    direction: Floats
     elevation_rad: Floats
-    azimuth_rad: Floats
 
 
 @compiled
-def _rows_of(inputs: _CodeInputs, group_delay_s: Floats) -> _Rows:
-    m = inputs.satellite.size
+def _rows_of(
+    columns: SignalColumns, row: Integers, states: SatelliteStates, ephemeris: Integers, group_delay_s: Floats
+) -> _Rows:
+    """Rows of the codes `row` (m,) of an epoch; `ephemeris` (m,) is a satellite's row of the group delays, or −1."""
+    m = row.size
     measured, dispersion = np.full(m, np.nan), np.full(m, np.nan)
     group, measurable = np.empty(m, np.int64), np.zeros(m, np.bool_)
     for k in range(m):
-        letter, band = inputs.satellite[k] >> 8, (inputs.signal[k] >> 8) - 48
-        group[k] = _GROUP[letter]
+        letter, band = columns.satellite[row[k]] >> 8, (columns.signal[row[k]] >> 8) - 48
+        group[k] = SYSTEM_INDEX[letter]
         dispersion[k] = (IONOSPHERE_CARRIER_HZ / CARRIER_HZ[letter, band]) ** 2
-        if inputs.ephemeris[k] >= 0:
-            delay_s = group_delay_s[inputs.ephemeris[k], band]
-            measured[k] = inputs.pseudorange_m[k] + SPEED_OF_LIGHT_M_S * (inputs.states.clock_s[k] - delay_s)
+        if ephemeris[k] >= 0:
+            clock_s = states.clock_s[k] - group_delay_s[ephemeris[k], band]
+            measured[k] = columns.pseudorange_m[row[k]] + SPEED_OF_LIGHT_M_S * clock_s
         measurable[k] = abs(measured[k] * dispersion[k]) < np.inf
-    model = LinearModel(
-        np.zeros((m, _UNKNOWNS)), np.full(m, np.nan), sigma=np.ones(m), prior_sigma=np.full(_UNKNOWNS, np.inf)
-    )
     return _Rows(
+        position_m=states.position_m,
+        cn0_dbhz=columns.cn0_dbhz[row],
         group=group,
         range_m=measured,
         dispersion=dispersion,
         measurable=measurable,
-        model=model,
+        model=empty_model(m, _UNKNOWNS),
         candidate=np.zeros(m, np.bool_),
-        direction=np.full((m, 3), np.nan),
         elevation_rad=np.full(m, np.nan),
-        azimuth_rad=np.full(m, np.nan),
     )
 
 
 @compiled
 def _iterate(
-    inputs: _CodeInputs, group_delay_s: Floats, start_ecef_m: Floats, options: SinglePointOptions
-) -> tuple[int, bool, Floats, RobustFit, _Rows]:
+    rows: _Rows, start_ecef_m: Floats, ionosphere: Floats, of_week_s: float
+) -> tuple[int, bool, Floats, RobustFit]:
     """Coarse position where there is no start, then Gauss-Newton steps with outlier exclusion.
 
-    Returns status, whether the steps converged, the position (3,), the last fit and its rows.
+    Returns status, whether the steps converged, the position (3,) and the last fit.
     """
-    rows, states, m = _rows_of(inputs, group_delay_s), inputs.states, inputs.satellite.size
     at = start_ecef_m.copy()
     status = OK
     started = _is_near_the_ground(at)
     if not started:
         at[:] = 0.0
-        status = _coarse_position(states, rows, at)
-    none = np.zeros(m, np.bool_)
-    fit = RobustFit(
-        OK,
-        np.full(_UNKNOWNS, np.nan),
-        np.zeros((0, 0)),
-        np.full(m, np.nan),
-        used=none,
-        chi_squared=np.nan,
-        degrees=0,
-    )
+        status = _coarse_position(rows, at)
+    fit = empty_fit(OK, rows.measurable.size, _UNKNOWNS)
     converged = False
     for _ in range(_FINE_STEPS):
         if status != OK:
             break
-        _linearise(rows, inputs, at, options)
-        fit = consistent_fit(rows.model, rows.candidate, options.false_alarm)
+        _linearise(rows, at, ionosphere, of_week_s)
+        fit = consistent_fit(rows.model, rows.candidate, _FALSE_ALARM)
         step = math.sqrt(fit.value[0] ** 2 + fit.value[1] ** 2 + fit.value[2] ** 2)
         if started and not step < _NO_START_M:
             # The start was useless: from there satellites were below the horizon.
             started = False
             at[:] = 0.0
-            status = _coarse_position(states, rows, at)
+            status = _coarse_position(rows, at)
             continue
         if fit.status != OK and fit.status != INCONSISTENT:
             status = fit.status
@@ -380,8 +284,7 @@ def _iterate(
         if not step < np.inf:
             status = DEGENERATE
             break
-        for k in range(3):
-            at[k] += fit.value[k]
+        at += fit.value[:3]
         if not _is_near_the_ground(at):
             status = _NO_CONVERGENCE
         elif step < _FINE_M:
@@ -390,19 +293,7 @@ def _iterate(
             break
     if status == OK and not converged:
         status = _NO_CONVERGENCE
-    return status, converged, at, fit, rows
-
-
-@compiled
-def rotated_covariance(rotation: Floats, covariance: Floats) -> Floats:
-    """R C Rᵀ of (3, 3) matrices."""
-    out = np.zeros((3, 3))
-    for a in range(3):
-        for b in range(3):
-            for i in range(3):
-                for j in range(3):
-                    out[a, b] += rotation[a, i] * covariance[i, j] * rotation[b, j]
-    return out
+    return status, converged, at, fit
 
 
 @compiled
@@ -412,19 +303,16 @@ def _is_near_the_ground(ecef_m: Floats) -> bool:
 
 
 @compiled
-def _coarse_position(states: SatelliteStates, rows: _Rows, at: Floats) -> int:
+def _coarse_position(rows: _Rows, at: Floats) -> int:
     """From anywhere to some km of the solution with equal weights and no atmosphere; `at` is moved there."""
-    m = rows.measurable.size
-    direction, design = np.empty(3), rows.model.design
-    model = LinearModel(design[:, :6], np.zeros(m), sigma=np.ones(m), prior_sigma=np.full(6, np.inf))
+    m, direction = rows.measurable.size, np.empty(3)
+    model = empty_model(m, 6)
     for _ in range(_COARSE_STEPS):
         for k in range(m):
-            design[k, :] = 0.0
             if rows.measurable[k]:
-                model.observed[k] = rows.range_m[k] - range_to(states.position_m[k], at, direction)
-                for axis in range(3):
-                    design[k, axis] = -direction[axis]
-                design[k, 3 + rows.group[k]] = 1.0
+                model.observed[k] = rows.range_m[k] - range_to(rows.position_m[k], at, direction)
+                model.design[k, :3] = -direction
+                model.design[k, 3 + rows.group[k]] = 1.0
         # A false-alarm rate of zero excludes nothing: one outlier moves this by km, which the fine steps handle.
         fit = consistent_fit(model, rows.measurable, 0.0)
         if fit.status != OK:
@@ -441,55 +329,51 @@ def _coarse_position(states: SatelliteStates, rows: _Rows, at: Floats) -> int:
 
 
 @compiled
-def _linearise(rows: _Rows, inputs: _CodeInputs, at: Floats, options: SinglePointOptions) -> None:
+def _linearise(rows: _Rows, at: Floats, ionosphere: Floats, of_week_s: float) -> None:
     """Write the model's rows about a position `at`, and which are candidates."""
-    model, ionosphere, of_week_s = rows.model, inputs.ionosphere, inputs.of_week_s
-    design, prior_sigma, direction = model.design, model.prior_sigma, rows.direction
-    elevation, azimuth = rows.elevation_rad, rows.azimuth_rad
+    design, prior_sigma, direction = rows.model.design, rows.model.prior_sigma, np.empty(3)
     latitude, longitude, height = geodetic(at)
     rotation = enu_from_ecef_rotation(latitude, longitude)
     air = troposphere_at(latitude, height)
     vertical_m = klobuchar_m(
         ionosphere, of_week_s, latitude, longitude, elevation_rad=0.5 * np.pi, azimuth_rad=0.0
     )
-    missed_m = options.unknown_ionosphere_m
+    missed_m = _UNKNOWN_IONOSPHERE_M
     if has_ionosphere(ionosphere):
-        missed_m = max(options.ionosphere_share * vertical_m, options.least_ionosphere_m)
+        missed_m = max(_IONOSPHERE_SHARE * vertical_m, _LEAST_IONOSPHERE_M)
     prior_sigma[6] = missed_m
-    prior_sigma[7] = missed_m / options.ionosphere_scale_rad
-    prior_sigma[8] = prior_sigma[7]
+    prior_sigma[7] = prior_sigma[8] = missed_m / _IONOSPHERE_SCALE_RAD
     for k in range(rows.measurable.size):
         design[k, :] = 0.0
         rows.candidate[k] = False
         if not rows.measurable[k]:
             continue
-        distance = range_to(inputs.states.position_m[k], at, direction[k])
-        x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
+        distance = range_to(rows.position_m[k], at, direction)
+        x, y, z = direction[0], direction[1], direction[2]
         east = rotation[0, 0] * x + rotation[0, 1] * y
         north = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
         sine = min(rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z, 1.0)
-        elevation[k] = math.asin(max(sine, -1.0))
-        azimuth[k] = math.atan2(east, north)
-        if not elevation[k] >= options.lowest_elevation_rad:
+        elevation, azimuth = math.asin(max(sine, -1.0)), math.atan2(east, north)
+        rows.elevation_rad[k] = elevation
+        if not elevation >= _LOWEST_ELEVATION_RAD:
             continue
         rows.candidate[k] = True
         dispersion = rows.dispersion[k]
         modelled_m = klobuchar_m(
-            ionosphere, of_week_s, latitude, longitude, elevation_rad=elevation[k], azimuth_rad=azimuth[k]
+            ionosphere, of_week_s, latitude, longitude, elevation_rad=elevation, azimuth_rad=azimuth
         )
         troposphere_m = slant_troposphere_m(air, sine)
-        model.observed[k] = rows.range_m[k] - distance - troposphere_m - dispersion * modelled_m
-        for axis in range(3):
-            design[k, axis] = -direction[k, axis]
+        rows.model.observed[k] = rows.range_m[k] - distance - troposphere_m - dispersion * modelled_m
+        design[k, :3] = -direction
         design[k, 3 + rows.group[k]] = 1.0
-        cosine = _SHELL_RATIO * math.cos(elevation[k])
+        cosine = _SHELL_RATIO * math.cos(elevation)
         mapping = dispersion / math.sqrt(1.0 - cosine * cosine)
-        earth_angle_rad = math.acos(cosine) - elevation[k]
+        earth_angle_rad = math.acos(cosine) - elevation
         design[k, 6] = mapping
-        design[k, 7] = mapping * earth_angle_rad * math.sin(azimuth[k])
-        design[k, 8] = mapping * earth_angle_rad * math.cos(azimuth[k])
-        level = inputs.cn0_dbhz[k] if abs(inputs.cn0_dbhz[k]) < 100.0 else 40.0
-        noise = options.noise_m * 10.0 ** ((45.0 - level) / 20.0)
-        low = (options.background_m**2 + options.troposphere_m**2) / (sine * sine)
-        rest = options.ionosphere_rest * dispersion * modelled_m
-        model.sigma[k] = math.sqrt(noise * noise + low + options.satellite_m**2 + rest * rest)
+        design[k, 7] = mapping * earth_angle_rad * math.sin(azimuth)
+        design[k, 8] = mapping * earth_angle_rad * math.cos(azimuth)
+        level = rows.cn0_dbhz[k] if abs(rows.cn0_dbhz[k]) < 100.0 else 40.0
+        noise = _NOISE_M * 10.0 ** ((45.0 - level) / 20.0)
+        low = (_BACKGROUND_M**2 + _TROPOSPHERE_M**2) / (sine * sine)
+        rest = _IONOSPHERE_REST * dispersion * modelled_m
+        rows.model.sigma[k] = math.sqrt(noise * noise + low + _SATELLITE_M**2 + rest * rest)

@@ -17,52 +17,46 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch, satellite_name
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
 from camber.gnss.observations.satellite_states import (
     EARTH_ROTATION_RAD_S,
-    MOST_BANDS,
     SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,
     range_to,
 )
+from camber.gnss.observations.signal_pairs import (
+    CARRIER_HZ,
+    MOST_BANDS,
+    Booleans,
+    SignalColumns,
+    columns_of,
+)
 from camber.gnss.position.robust_least_squares import (
-    DEGENERATE,
     INCONSISTENT,
     OK,
-    TOO_FEW,
-    Booleans,
-    LinearModel,
     RobustFit,
     consistent_fit,
-    dilutions,
+    empty_fit,
+    empty_model,
+    horizontal_dilution,
 )
-from camber.gnss.position.single_point import CARRIER_HZ, SinglePoint
+from camber.gnss.position.single_point import SinglePoint
 
 Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_position"]
 """`no_position`: there is no approximate position, so there are no directions."""
-_STATUS: dict[int, Status] = {
-    OK: "ok",
-    TOO_FEW: "too_few",
-    DEGENERATE: "degenerate",
-    INCONSISTENT: "inconsistent",
-}
-_NO_POSITION = -1  # a status beside those of `robust_least_squares`
+_STATUS: tuple[Status, ...] = ("ok", "too_few", "degenerate", "inconsistent", "no_position")
+_NO_POSITION = 4  # a status after those of `robust_least_squares`
 _GREATEST_DOPPLER_HZ = 1.0e5  # derived: satellites 5 kHz, a receiver's clock at 50 ppm 80 kHz
-
-
-class DopplerOptions(NamedTuple):
-    """Mask, false-alarm rate and standard deviations of the module's error model."""
-
-    lowest_elevation_rad: float = math.radians(10.0)
-    false_alarm: float = 1.0e-4
-    noise_m_s: float = 0.03
-    background_m_s: float = 0.01
+# Chosen: mask, false-alarm rate of the test and standard deviations of the error model above.
+_LOWEST_SINE = math.sin(math.radians(10.0))
+_FALSE_ALARM = 1.0e-4
+_NOISE_M_S, _BACKGROUND_M_S = 0.03, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -81,25 +75,8 @@ class DopplerVelocity:
     hdop: float
     chi_squared: float
     degrees: int
-    satellite: Integers
     used: Booleans
     excluded: Booleans
-    residual_m_s: Floats
-
-    @property
-    def excluded_names(self) -> list[str]:
-        """Names of the excluded satellites, `["G05"]`."""
-        return [satellite_name(s) for s in self.satellite[self.excluded].tolist()]
-
-
-class _DopplerInputs(NamedTuple):
-    """`place` (n,) as in `Codes`; signals, Dopplers and C/N0 (n,) by row of the epoch."""
-
-    satellite: Integers
-    place: Integers
-    signal: Integers
-    doppler_hz: Floats
-    cn0_dbhz: Floats
 
 
 def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVelocity:
@@ -107,28 +84,20 @@ def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVel
 
     Never raises for what an epoch holds.
     """
-    inputs = _DopplerInputs(
-        satellite=single.satellite,
-        place=single.codes.place,
-        signal=epoch.signal,
-        doppler_hz=epoch.doppler_hz,
-        cn0_dbhz=epoch.cn0_dbhz,
-    )
-    fit, excluded, hdop = _velocity(inputs, single.states, single.approximate_ecef_m, DopplerOptions())
-    ok = fit.status == OK
+    rates = _mean_rates(columns_of(epoch), single.satellite, single.codes.place)
+    fit, candidate, hdop = _velocity(*rates, single.states, single.approximate_ecef_m)
+    ok, tested = fit.status == OK, fit.status in (OK, INCONSISTENT)
     return DopplerVelocity(
         time_ns=epoch.time_ns,
-        status=_STATUS.get(fit.status, "no_position"),
+        status=_STATUS[fit.status],
         velocity_enu_m_s=fit.value[:3] if ok else np.full(3, np.nan),
         covariance_enu_m2_s2=fit.covariance[:3, :3] if ok else np.full((3, 3), np.nan),
         clock_drift_m_s=float(fit.value[3]) if ok else np.nan,
         hdop=hdop,
         chi_squared=fit.chi_squared,
         degrees=fit.degrees,
-        satellite=single.satellite,
-        used=fit.used if fit.status in (OK, INCONSISTENT) else np.zeros_like(fit.used),
-        excluded=excluded if fit.status in (OK, INCONSISTENT) else np.zeros_like(excluded),
-        residual_m_s=fit.residual,
+        used=fit.used & tested,
+        excluded=candidate & ~fit.used & tested,
     )
 
 
@@ -154,27 +123,16 @@ def range_rate_m_s(
 
 @compiled
 def _velocity(
-    inputs: _DopplerInputs, states: SatelliteStates, receiver_ecef_m: Floats, options: DopplerOptions
+    rate: Floats, weight: Floats, states: SatelliteStates, receiver_ecef_m: Floats
 ) -> tuple[RobustFit, Booleans, float]:
-    """Fit of velocity in east, north, up and clock drift; excluded satellites (m,); HDOP."""
-    m = inputs.satellite.size
+    """Fit of velocity in east, north, up and clock drift to `_mean_rates`; candidate satellites (m,); HDOP."""
+    m = rate.size
     candidate, direction = np.zeros(m, np.bool_), np.empty(3)
     latitude, longitude, _ = geodetic(receiver_ecef_m)
     if not abs(latitude) < 2.0:
-        nothing = np.full(m, np.nan)
-        fit = RobustFit(
-            _NO_POSITION,
-            np.full(4, np.nan),
-            np.full((4, 4), np.nan),
-            nothing,
-            candidate,
-            chi_squared=np.nan,
-            degrees=0,
-        )
-        return fit, candidate, np.nan
+        return empty_fit(_NO_POSITION, m, 4), candidate, np.nan
     rotation = enu_from_ecef_rotation(latitude, longitude)
-    rate, weight = _mean_rates(inputs, options)
-    model = LinearModel(np.zeros((m, 4)), np.zeros(m), sigma=np.ones(m), prior_sigma=np.full(4, np.inf))
+    model = empty_model(m, 4)
     for k in range(m):
         if not (weight[k] > 0.0 and states.clock_rate[k] == states.clock_rate[k]):
             continue
@@ -188,37 +146,34 @@ def _velocity(
                 + rotation[axis, 2] * direction[2]
             )
         sine = -model.design[k, 2]
-        if not sine >= math.sin(options.lowest_elevation_rad):
+        if not sine >= _LOWEST_SINE:
             continue
-        for axis in range(3):
-            model.design[k, axis] /= slope
+        model.design[k, :3] /= slope
         model.design[k, 3] = 1.0
         model.observed[k] = rate[k] - static_rate + SPEED_OF_LIGHT_M_S * states.clock_rate[k]
-        model.sigma[k] = math.sqrt(1.0 / weight[k] + (options.background_m_s / sine) ** 2)
+        model.sigma[k] = math.sqrt(1.0 / weight[k] + (_BACKGROUND_M_S / sine) ** 2)
         candidate[k] = True
-    fit = consistent_fit(model, candidate, options.false_alarm)
-    hdop = np.nan
-    if fit.status == OK:
-        _, hdop, _ = dilutions(model.design, fit.used, np.eye(3))
-    return fit, candidate & ~fit.used, hdop
+    fit = consistent_fit(model, candidate, _FALSE_ALARM)
+    return fit, candidate, horizontal_dilution(model.design, fit.used) if fit.status == OK else np.nan
 
 
 @compiled
-def _mean_rates(inputs: _DopplerInputs, options: DopplerOptions) -> tuple[Floats, Floats]:
-    """−(c/f) D of each satellite (m,) and its weight, 0 where there is none; of each band the best C/N0 counts."""
-    satellite, place, signal = inputs.satellite, inputs.place, inputs.signal
-    doppler_hz, cn0_dbhz = inputs.doppler_hz, inputs.cn0_dbhz
+def _mean_rates(columns: SignalColumns, satellite: Integers, place: Integers) -> tuple[Floats, Floats]:
+    """−(c/f) D of each satellite (m,) and its weight, 0 where there is none; of each band the best C/N0 counts.
+
+    `place` (n,) as in `Codes`.
+    """
     m = satellite.size
     total, weight = np.zeros(m), np.zeros(m)
     best = np.full((m, MOST_BANDS), -1, np.int64)
     sigma = np.full((m, MOST_BANDS), np.inf)
     for i in range(place.size):
-        k = place[i]
-        if k < 0 or not abs(doppler_hz[i]) < _GREATEST_DOPPLER_HZ:
+        k, cn0_dbhz = place[i], columns.cn0_dbhz[i]
+        if k < 0 or not abs(columns.doppler_hz[i]) < _GREATEST_DOPPLER_HZ:
             continue
-        band = (signal[i] >> 8) - 48
-        level = cn0_dbhz[i] if 0.0 <= cn0_dbhz[i] < 100.0 else 40.0
-        of_row = options.noise_m_s * 10.0 ** ((45.0 - level) / 20.0)
+        band = (columns.signal[i] >> 8) - 48
+        level = cn0_dbhz if 0.0 <= cn0_dbhz < 100.0 else 40.0
+        of_row = _NOISE_M_S * 10.0 ** ((45.0 - level) / 20.0)
         if of_row < sigma[k, band]:
             best[k, band], sigma[k, band] = i, of_row
     for k in range(m):
@@ -226,7 +181,7 @@ def _mean_rates(inputs: _DopplerInputs, options: DopplerOptions) -> tuple[Floats
             if best[k, band] >= 0:
                 of_band = 1.0 / (sigma[k, band] * sigma[k, band])
                 metres = SPEED_OF_LIGHT_M_S / CARRIER_HZ[satellite[k] >> 8, band]
-                total[k] -= of_band * doppler_hz[best[k, band]] * metres
+                total[k] -= of_band * columns.doppler_hz[best[k, band]] * metres
                 weight[k] += of_band
         if weight[k] > 0.0:
             total[k] /= weight[k]

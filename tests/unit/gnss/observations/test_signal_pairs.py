@@ -38,13 +38,7 @@ def columns(*names: str) -> SignalColumns:
     satellites, signals = of(*names)
     unknown = np.full(len(names), np.nan)
     return SignalColumns(
-        time_ns=0,
-        satellite=satellites,
-        signal=signals,
-        pseudorange_m=unknown,
-        carrier_phase_cycles=unknown,
-        cn0_dbhz=unknown,
-        half_cycle=np.zeros(len(names), np.bool_),
+        0, satellites, signals, *[unknown] * 5, loss_of_lock=np.isinf(unknown), half_cycle=np.isinf(unknown)
     )
 
 

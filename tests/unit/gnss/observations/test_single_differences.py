@@ -9,7 +9,7 @@ import pytest
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import SatelliteStates, ranges, states_at_transmission
-from camber.gnss.observations.signal_pairs import GROUPS, pair_signals
+from camber.gnss.observations.signal_pairs import GROUPS, columns_of, pair_signals
 from camber.gnss.observations.single_differences import (
     Masks,
     Noise,
@@ -19,7 +19,6 @@ from camber.gnss.observations.single_differences import (
     variance_m2,
     without_clocks,
 )
-from camber.gnss.position.epoch_solution import columns_of
 from support.engine_drives import base_ecef_m, open_sky_drive
 from support.single_difference_rows import made_up_rows
 

@@ -18,7 +18,7 @@ from camber.gnss.position.robust_least_squares import (
     RobustFit,
     chi_squared_survival,
     consistent_fit,
-    dilutions,
+    horizontal_dilution,
 )
 
 FALSE_ALARM = 1e-3
@@ -234,14 +234,12 @@ def test_an_unknown_that_no_row_has_is_not_known_and_the_others_are():
     assert found.degrees == expected.degrees
 
 
-def test_dilutions_are_those_of_the_unweighted_geometry():
+def test_the_horizontal_dilution_is_that_of_the_unweighted_geometry():
     design, _, _, _ = problem(8)
     cofactor = np.linalg.inv(design.T @ design)
-    found = dilutions(design, np.ones(20, np.bool_), np.eye(3))
-    assert found[0] == pytest.approx(math.sqrt(np.trace(cofactor)))
-    assert found[1] == pytest.approx(math.sqrt(cofactor[0, 0] + cofactor[1, 1]))
-    assert found[2] == pytest.approx(math.sqrt(cofactor[2, 2]))
-    assert np.isnan(dilutions(design, np.zeros(20, np.bool_), np.eye(3))).all()
+    hdop = horizontal_dilution(design, np.ones(20, np.bool_))
+    assert hdop == pytest.approx(math.sqrt(cofactor[0, 0] + cofactor[1, 1]))
+    assert np.isnan(horizontal_dilution(design, np.zeros(20, np.bool_)))
 
 
 @settings(derandomize=True, max_examples=100, deadline=None)
