@@ -12,6 +12,7 @@ from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.localizer.matching.sweep_preparation import SweepProblem
 from camber.map_update.service import UNAVAILABLE_ISSUES
 from camber.runtime.health.issue_log import _OTHERS
+from camber.sensors.lidar_reader import ISSUES
 from support.tree import ROOT
 
 SOURCE = ROOT / "services" / "camber"
@@ -57,7 +58,6 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
         "upload_not_acknowledged",
     ),
     ("sensors/service.py", "code"): _OF_QUEUES,
-    ("sensors/lidar_reader.py", "code"): ("lidar_packets", "lidar_model"),
     **{
         ("sensors/inputs.py", f"f'{{self._name}}_{word}'"): (f"lidar_{word}", f"can_{word}")
         for word in ("port", "too_fast", "recording", "ended")
@@ -68,7 +68,7 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
 
 def issue_codes() -> tuple[set[str], set[tuple[str, str]]]:
     """All codes, and places of whose codes nobody knows."""
-    codes: set[str] = set()
+    codes = set(ISSUES.values())
     unknown: set[tuple[str, str]] = set()
     for file, code in _places():
         if isinstance(code, ast.Constant) and isinstance(code.value, str):

@@ -12,6 +12,7 @@ from camber.schemas.channels import SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
 from camber.tools.generate_docs.decision_table import decision_table
 from camber.tools.generate_docs.parameters import parameter_table
+from camber.tools.generate_docs.runbook import issues_by_service, runbook_rows
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -21,6 +22,10 @@ SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
         for service in (*SERVICES, SENSORS)
     },
     ("services/integrity.md", "decision table"): decision_table,
+    **{
+        ("runbook.md", f"issues of {service}"): partial(runbook_rows, service)
+        for service in issues_by_service()
+    },
 }
 """Page and name of a section → its text. It replaces what is between `<!-- generated: NAME -->` and the end mark."""
 
