@@ -85,22 +85,23 @@ def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
         rows = csv.reader(file)
         header = tuple(name.strip() for name in next(rows, []))
         is_camber = layout == "camber"
-        expected = _CAMBER if is_camber else _NAGOYA
-        more = header[len(expected) :] if is_camber else ()
-        if header != expected + more or not _are_more(more):
-            raise fault("header", ",".join(expected), actual=",".join(header), line_number=1)
+        layout_columns = _CAMBER if is_camber else _NAGOYA
+        more = header[len(layout_columns) :] if is_camber else ()
+        if header != layout_columns + more or not _are_more(more):
+            raise fault("header", ",".join(layout_columns), actual=",".join(header), line_number=1)
         numbered = [(number, row) for number, row in enumerate(rows, start=2) if row]
     for number, row in numbered:
         if len(row) != len(header):
             raise fault("columns", f"{len(header)} fields", actual=f"{len(row)} fields", line_number=number)
 
-    def column(name: str, parse: Callable[[str], Any], wanted: str = "a finite number") -> list[Any]:
+    def column(name: str, parse: Callable[[str], Any], wanted: str = "a number") -> list[Any]:
         values, index = [], header.index(name)
         for number, row in numbered:
             try:
                 values.append(parse(row[index]))
-            except ValueError:
-                raise fault(name, wanted, actual=row[index], line_number=number) from None
+            except (ValueError, OverflowError) as error:
+                expected = "a finite number" if isinstance(error, OverflowError) else wanted
+                raise fault(name, expected, actual=row[index], line_number=number) from None
         return values
 
     names = _CAMBER[1:10] if is_camber else _NAGOYA[2:5] + _NAGOYA[8:]
@@ -168,7 +169,7 @@ def _number(value: float) -> str:
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(text)
+        raise OverflowError(text)
     return value
 
 
