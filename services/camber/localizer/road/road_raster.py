@@ -10,7 +10,7 @@ continuation: one height for each position.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,49 +37,19 @@ _CROSSFALL: Final = 0.03  # chosen: error of a continued height per metre
 
 
 class RoadElevation(NamedTuple):
-    """The road at a place: height and slopes, with the sigma of the height.
-
-    `distance_m`: to the nearest cell with this road; `other_height_m`: of the next other road there, from which only a
-    height known to half the difference separates it.
-    """
+    """The road at a position: height and slopes, σ of the height, and distance to the nearest cell with this road."""
 
     height_m: float
     slope_east: float
     slope_north: float
     sigma_m: float
     distance_m: float
-    other_height_m: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RoadSurface:
-    """One road from where the vehicle is, one height for each place; as `RoadHeights`, with a single level."""
-
-    _raster: _RoadRaster
-    _slots: Integers  # (rows, columns, 1) number of the plane that holds there, −1: none
-    _start: int
-
-    def height_above(self, points_m: Floats) -> Floats:
-        """Height of points (n, 3) above this road (n,); NaN where it is not known."""
-        raster = self._raster
-        return points_m[:, 2] - _nearest_heights(
-            points_m=points_m,
-            corner_m=raster.corner_m,
-            planes=raster.planes,
-            slots=self._slots,
-            near_m=points_m[:, 2],
-        )
-
-    def holds(self, plane: int) -> bool:
-        """Is a plane of the raster part of this surface?"""
-        row, column = divmod(int(self._raster.cell_of[plane]), self._slots.shape[1])
-        return bool(self._slots[row, column, 0] == plane)
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _RoadRaster:
-    """`planes` (k, 6): east, north of the cell's centre, height there, slopes, sigma; `slots` (rows, columns, LEVELS)
-    numbers of planes, those of the cell itself first; `road_count` (rows, columns) how many those are."""
+class _RoadRaster(NamedTuple):
+    """`planes` (k, 6): east, north of the cell's centre, height there, slopes, σ; `cell_of` (k,) its cell; `slots`
+    (rows, columns, levels) numbers of planes, −1: none, those of the cell itself first; `road_count` (rows, columns)
+    how many those are."""
 
     corner_m: Floats
     planes: Floats
@@ -88,126 +58,82 @@ class _RoadRaster:
     road_count: Integers
 
 
-@dataclass(slots=True, eq=False)
-class RoadHeights:
-    """All roads of a block, heights and places in its frame."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RoadSurface:
+    """One road from where the vehicle is, one height for each position: a raster with a single level."""
 
     _raster: _RoadRaster
-    _last: RoadSurface | None = field(default=None)
+    _start: int
+
+    def height_above(self, points_m: Floats) -> Floats:
+        """Return the height of points (n, 3) above this road (n,); NaN where it is not known."""
+        return points_m[:, 2] - _nearest_heights(points_m, self._raster)
+
+    def holds(self, plane: int) -> bool:
+        """Whether a plane of the raster is part of this surface."""
+        row, column = divmod(int(self._raster.cell_of[plane]), self._raster.slots.shape[1])
+        return bool(self._raster.slots[row, column, 0] == plane)
+
+
+@dataclass(slots=True, eq=False)
+class RoadHeights:
+    """All roads of a block, heights and positions in its frame."""
+
+    _raster: _RoadRaster
+    _last: RoadSurface | None = None
 
     @classmethod
     def of(cls, road_m: Floats) -> RoadHeights:
-        """From points of road surfaces (k, 3)."""
+        """Build the raster from points of road surfaces (k, 3)."""
         points = np.ascontiguousarray(road_m, np.float64).reshape(-1, 3)
         if not len(points):
             empty = np.full((1, 1, LEVELS), -1, np.int32)
-            return cls(
-                _RoadRaster(
-                    corner_m=np.zeros(2),
-                    planes=np.zeros((0, 6)),
-                    cell_of=np.zeros(0, np.int32),
-                    slots=empty,
-                    road_count=np.zeros((1, 1), np.int32),
-                )
-            )
+            no_roads = np.zeros((1, 1), np.int32)
+            return cls(_RoadRaster(np.zeros(2), np.zeros((0, 6)), no_roads[0, :0], empty, no_roads))
         corner = np.floor(points[:, :2].min(axis=0) / CELL_M) * CELL_M - OUTWARDS_M
-        columns, rows = (
-            np.ceil((points[:, :2].max(axis=0) - corner + OUTWARDS_M) / CELL_M).astype(int) + 1
-        ).tolist()
+        extent = np.ceil((points[:, :2].max(axis=0) - corner + OUTWARDS_M) / CELL_M).astype(int) + 1
+        columns, rows = extent.tolist()
         means, cell_of, slots, road_count = _cells(points, corner, rows, columns)
-        planes = _planes(means=means, cell_of=cell_of, slots=slots, road_count=road_count, corner_m=corner)
-        _continue_outwards(planes, cell_of, slots, road_count)
-        return cls(
-            _RoadRaster(corner_m=corner, planes=planes, cell_of=cell_of, slots=slots, road_count=road_count)
-        )
-
-    @property
-    def known(self) -> bool:
-        """Is there any road?"""
-        return len(self._raster.planes) > 0
+        raster = _RoadRaster(corner, np.empty((len(means), 6)), cell_of, slots, road_count)
+        _fit_planes(means, raster)
+        _continue_outwards(raster)
+        return cls(raster)
 
     def elevation(self, east_m: float, north_m: float, near_height_m: float) -> RoadElevation | None:
-        """The road at a place, of those above one another the one nearest to a height; None: none is known there."""
-        raster = self._raster
-        here = np.array([[east_m, north_m, near_height_m]])
-        roads = _roads_at(here[0], raster.corner_m, raster.planes, raster.slots)
+        """Return the road at a position, of several the one nearest to a height; None: no road is known there."""
+        roads = _roads_at(east_m, north_m, self._raster)
         if not len(roads):
             return None
-        order = np.argsort(np.abs(roads[:, 0] - near_height_m), kind="stable")
-        height, slope_east, slope_north, sigma, distance = roads[order[0]].tolist()
-        other = float(roads[order[1], 0]) if len(order) > 1 else None
-        return RoadElevation(
-            height_m=height,
-            slope_east=slope_east,
-            slope_north=slope_north,
-            sigma_m=sigma,
-            distance_m=distance,
-            other_height_m=other,
-        )
+        return RoadElevation(*roads[np.argmin(np.abs(roads[:, 0] - near_height_m))].tolist())
 
     def surface_through(self, east_m: float, north_m: float, height_m: float) -> RoadSurface | None:
-        """The road that passes a place within 1.5 m of a height, and what can be driven to from it; None: none does.
+        """Return the road that passes a position within 1.5 m of a height, and all that can be reached from it.
 
-        Where two of its parts lie above one another, the one that is fewer metres of road away is taken.
+        Where two of its parts lie above one another, the nearer one along the road is taken. None: no road
+        passes there.
         """
-        raster = self._raster
-        start = _start_plane(
-            east_m=east_m,
-            north_m=north_m,
-            height_m=height_m,
-            corner_m=raster.corner_m,
-            planes=raster.planes,
-            slots=raster.slots,
-        )
+        start = _nearest_plane(east_m, north_m, height_m, within_m=1.5, raster=self._raster)
         if start < 0:
             return None
         last = self._last
-        if last is not None and (last._start == start or (self._single and last.holds(start))):
+        if last is not None and (last._start == start or (self._is_single() and last.holds(start))):
             return last
-        slots = _reached_from(
-            start=start,
-            planes=raster.planes,
-            cell_of=raster.cell_of,
-            slots=raster.slots,
-            road_count=raster.road_count,
-        )
-        self._last = RoadSurface(_raster=raster, _slots=slots, _start=start)
+        reached = self._raster._replace(slots=_reached_from(start, self._raster))
+        self._last = RoadSurface(_raster=reached, _start=start)
         return self._last
 
-    def height_above_road(self, points_m: Floats, near_height_m: float | None = None) -> Floats:
-        """Height of points (n, 3) above the road below them (n,); NaN where none is known.
+    def height_above_road(self, points_m: Floats) -> Floats:
+        """Return the height of points (n, 3) above the road below them (n,); NaN where none is known.
 
-        Of several roads the highest that is not more than 0.3 m above the point (else the lowest), or, with
-        `near_height_m`, the nearest to that height.
+        Of several roads the highest that is not more than 0.3 m above the point, else the lowest.
         """
-        raster = self._raster
-        if near_height_m is None:
-            road = _heights_below(points_m, raster.corner_m, raster.planes, raster.slots)
-        else:
-            near = np.full(len(points_m), near_height_m)
-            road = _nearest_heights(
-                points_m=points_m,
-                corner_m=raster.corner_m,
-                planes=raster.planes,
-                slots=raster.slots,
-                near_m=near,
-            )
-        return points_m[:, 2] - road
+        return points_m[:, 2] - _heights_below(points_m, self._raster)
 
     def within(self, points_m: Floats, low_m: float, high_m: float) -> NDArray[np.bool_]:
-        """Which points (n, 3) are between two heights above any of the roads there."""
-        raster = self._raster
-        return _between(
-            points_m=points_m,
-            corner_m=raster.corner_m,
-            planes=raster.planes,
-            slots=raster.slots,
-            low_m=low_m,
-            high_m=high_m,
-        )
+        """Return which points (n, 3) are between two heights above any of the roads there."""
+        return _between(points_m, self._raster, low_m, high_m)
 
-    @property
-    def _single(self) -> bool:
+    def _is_single(self) -> bool:
         return bool((self._raster.road_count <= 1).all())
 
 
@@ -215,7 +141,7 @@ class RoadHeights:
 def _cells(
     points_m: Floats, corner_m: Floats, rows: int, columns: int
 ) -> tuple[Floats, Integers, Integers, Integers]:
-    """Means (k, 4) of the points of one road in one cell and their count, the cell of each, and who is in each cell."""
+    """Return means (k, 4) of the points of one road in one cell with their count; cell of each, slots, road counts."""
     n = len(points_m)
     cell = np.empty(n, np.int64)
     count = np.zeros(rows * columns + 1, np.int64)
@@ -262,73 +188,27 @@ def _cells(
 
 
 @compiled_without_gil
-def _planes(
-    means: Floats, cell_of: Integers, slots: Integers, road_count: Integers, corner_m: Floats
-) -> Floats:
-    """Planes (k, 6) by weighted least squares: through the cells next to each first, then through those around that
-    agree with it, so that a road beside it that is a little higher does not draw it up."""
-    columns = slots.shape[1]
-    planes = np.empty((len(means), 6))
+def _fit_planes(means: Floats, raster: _RoadRaster) -> None:
+    """Fit the planes by weighted least squares, in place: through the next cells first, then through those around that
+    agree with it, so that a neighbouring road that is a little higher does not raise it."""
+    columns, planes = raster.slots.shape[1], raster.planes
     for k in range(len(means)):
-        planes[k, 0] = corner_m[0] + (cell_of[k] % columns + 0.5) * CELL_M
-        planes[k, 1] = corner_m[1] + (cell_of[k] // columns + 0.5) * CELL_M
+        planes[k, 0] = raster.corner_m[0] + (raster.cell_of[k] % columns + 0.5) * CELL_M
+        planes[k, 1] = raster.corner_m[1] + (raster.cell_of[k] // columns + 0.5) * CELL_M
         planes[k, 2] = means[k, 2]
         planes[k, 3:] = 0.0
-        if (
-            _lay_plane(
-                k,
-                reach=1,
-                off_m=0.05,
-                off_per_m=0.2,
-                means=means,
-                cell_of=cell_of,
-                slots=slots,
-                road_count=road_count,
-                planes=planes,
-            )
-            < 4
-        ):
-            _lay_plane(
-                k,
-                reach=_REACH,
-                off_m=0.05,
-                off_per_m=0.2,
-                means=means,
-                cell_of=cell_of,
-                slots=slots,
-                road_count=road_count,
-                planes=planes,
-            )
+        if _fit_plane(k, means, raster, reach=1, off_m=0.05, off_per_m=0.2) < 4:
+            _fit_plane(k, means, raster, reach=_REACH, off_m=0.05, off_per_m=0.2)
         else:
-            _lay_plane(
-                k,
-                reach=_REACH,
-                off_m=0.04,
-                off_per_m=0.02,
-                means=means,
-                cell_of=cell_of,
-                slots=slots,
-                road_count=road_count,
-                planes=planes,
-            )
-    return planes
+            _fit_plane(k, means, raster, reach=_REACH, off_m=0.04, off_per_m=0.02)
 
 
 @compiled_without_gil
-def _lay_plane(
-    k: int,
-    reach: int,
-    off_m: float,
-    off_per_m: float,
-    means: Floats,
-    cell_of: Integers,
-    slots: Integers,
-    road_count: Integers,
-    planes: Floats,
-) -> int:
-    """Lay plane `k` anew through the cells in reach that are off it by no more than this; how many they are."""
+def _fit_plane(k: int, means: Floats, raster: _RoadRaster, reach: int, off_m: float, off_per_m: float) -> int:
+    """Fit plane `k` again to the cells in reach that are off it by no more than this; return their number."""
+    slots, planes = raster.slots, raster.planes
     rows, columns, _ = slots.shape
-    row, column = cell_of[k] // columns, cell_of[k] % columns
+    row, column = raster.cell_of[k] // columns, raster.cell_of[k] % columns
     m = np.zeros((3, 3))
     v = np.zeros(3)
     square = 0.0
@@ -338,7 +218,7 @@ def _lay_plane(
     for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
         for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
             best, least = -1, np.inf
-            for s in range(road_count[r, c]):
+            for s in range(raster.road_count[r, c]):
                 other = slots[r, c, s]
                 e, n = means[other, 0] - planes[k, 0], means[other, 1] - planes[k, 1]
                 off = abs(means[other, 2] - planes[k, 2] - planes[k, 3] * e - planes[k, 4] * n)
@@ -347,9 +227,8 @@ def _lay_plane(
             if best < 0:
                 continue
             e, n, z = means[best, 0] - planes[k, 0], means[best, 1] - planes[k, 1], means[best, 2] - base
-            if least > off_m + off_per_m * np.hypot(
-                means[best, 0] - means[k, 0], means[best, 1] - means[k, 1]
-            ):
+            away_m = np.hypot(means[best, 0] - means[k, 0], means[best, 1] - means[k, 1])
+            if least > off_m + off_per_m * away_m:
                 continue
             weight = min(means[best, 3], 10.0)
             a = (1.0, e, n)
@@ -374,7 +253,7 @@ def _lay_plane(
 
 @compiled_without_gil
 def _solved(m: Floats, v: Floats) -> Floats:
-    """Cramer's rule; of a symmetric, positive 3 × 3 matrix."""
+    """Solve m x = v of a symmetric, positive matrix (3, 3) by Cramer's rule."""
     a = m[1, 1] * m[2, 2] - m[1, 2] ** 2
     b = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
     c = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
@@ -391,7 +270,7 @@ def _solved(m: Floats, v: Floats) -> Floats:
 
 @compiled_without_gil
 def _height(planes: Floats, k: int, east_m: float, north_m: float) -> float:
-    """Height of a plane at a place: by its slope near its own cell, from there on level."""
+    """Return the height of a plane at a position: by its slope near its cell, level farther away."""
     east, north = east_m - planes[k, 0], north_m - planes[k, 1]
     far = np.hypot(east, north)
     if far > _ALONG_PLANE_M:
@@ -401,17 +280,19 @@ def _height(planes: Floats, k: int, east_m: float, north_m: float) -> float:
 
 
 @compiled_without_gil
-def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, road_count: Integers) -> None:
-    """Fill the slots beside the roads with the plane of the nearest cell of each road, in place."""
+def _continue_outwards(raster: _RoadRaster) -> None:
+    """Fill the slots next to the roads with the plane of the nearest cell of each road, in place."""
+    planes, slots = raster.planes, raster.slots
     rows, columns, levels = slots.shape
     size = rows * columns * levels
-    queue = np.empty(size, np.int32)  # of slots, as a ring; none stands in it twice
+    queue = np.empty(size, np.int32)  # of slots, as a ring; none is in it twice
     queued = np.zeros(size, np.bool_)
     head, waiting = 0, 0
     for k in range(len(planes)):
-        for s in range(road_count[cell_of[k] // columns, cell_of[k] % columns]):
-            if slots[cell_of[k] // columns, cell_of[k] % columns, s] == k:
-                queue[waiting] = cell_of[k] * levels + s
+        row, column = raster.cell_of[k] // columns, raster.cell_of[k] % columns
+        for s in range(raster.road_count[row, column]):
+            if slots[row, column, s] == k:
+                queue[waiting] = raster.cell_of[k] * levels + s
                 queued[queue[waiting]] = True
                 waiting += 1
     while waiting:
@@ -424,12 +305,10 @@ def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, road_
             row, column = cell // columns + step // 3 - 1, cell % columns + step % 3 - 1
             if not (0 <= row < rows and 0 <= column < columns):
                 continue
-            far = _cells_between(row, column, cell_of[k], columns)
+            far = _cells_between(row, column, k, raster)
             if far * CELL_M > OUTWARDS_M:
                 continue
-            east, north = _centre_from(
-                planes=planes, cell_of=cell_of, k=k, row=row, column=column, columns=columns
-            )
+            east, north = _centre_from(k, row, column, raster)
             height = _height(planes, k, east, north)
             for s in range(levels):
                 other = slots[row, column, s]
@@ -437,8 +316,8 @@ def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, road_
                     if abs(_height(planes, other, east, north) - height) > _SAME_ROAD_M:
                         continue
                     if (
-                        s < road_count[row, column]
-                        or _cells_between(row, column, cell_of[other], columns) <= far
+                        s < raster.road_count[row, column]
+                        or _cells_between(row, column, other, raster) <= far
                     ):
                         break
                 slots[row, column, s] = k
@@ -451,51 +330,65 @@ def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, road_
 
 
 @compiled_without_gil
-def _cells_between(row: int, column: int, cell: int, columns: int) -> float:
+def _cells_between(row: int, column: int, k: int, raster: _RoadRaster) -> float:
+    """Return the distance in cells from a cell to that of plane `k`."""
+    cell, columns = raster.cell_of[k], raster.slots.shape[1]
     return float(np.hypot(row - cell // columns, column - cell % columns))
 
 
 @compiled_without_gil
-def _centre_from(
-    planes: Floats, cell_of: Integers, k: int, row: int, column: int, columns: int
-) -> tuple[float, float]:
-    """East and north of a cell's centre, as seen from the one of plane `k`."""
-    east = planes[k, 0] + (column - cell_of[k] % columns) * CELL_M
-    north = planes[k, 1] + (row - cell_of[k] // columns) * CELL_M
-    return east, north
+def _centre_from(k: int, row: int, column: int, raster: _RoadRaster) -> tuple[float, float]:
+    """Return east and north of a cell's centre, relative to that of plane `k`."""
+    cell, columns = raster.cell_of[k], raster.slots.shape[1]
+    east = raster.planes[k, 0] + (column - cell % columns) * CELL_M
+    return east, raster.planes[k, 1] + (row - cell // columns) * CELL_M
 
 
 @compiled_without_gil
-def _cell(east_m: float, north_m: float, corner_m: Floats, slots: Integers) -> tuple[int, int]:
-    """Row and column of the raster's cell that holds a place; (−1, −1) outside."""
-    row, column = int((north_m - corner_m[1]) // CELL_M), int((east_m - corner_m[0]) // CELL_M)
-    if 0 <= row < slots.shape[0] and 0 <= column < slots.shape[1]:
+def _cell(east_m: float, north_m: float, raster: _RoadRaster) -> tuple[int, int]:
+    """Return row and column of the cell at a position; (−1, −1) outside."""
+    row, column = int((north_m - raster.corner_m[1]) // CELL_M), int((east_m - raster.corner_m[0]) // CELL_M)
+    if 0 <= row < raster.slots.shape[0] and 0 <= column < raster.slots.shape[1]:
         return row, column
     return -1, -1
 
 
 @compiled_without_gil
-def _start_plane(
-    east_m: float, north_m: float, height_m: float, corner_m: Floats, planes: Floats, slots: Integers
+def _nearest_in_cell(
+    cell: tuple[int, int],
+    position_m: tuple[float, float],
+    height_m: float,
+    within_m: float,
+    raster: _RoadRaster,
 ) -> int:
-    """Number of the plane at a place that is nearest to a height, within 1.5 m; −1: none."""
-    row, column = _cell(east_m, north_m, corner_m, slots)
-    if row < 0:
-        return -1
-    best, least = -1, 1.5
-    for s in range(slots.shape[2]):
-        k = slots[row, column, s]
-        if k >= 0 and abs(_height(planes, k, east_m, north_m) - height_m) < least:
-            best, least = k, abs(_height(planes, k, east_m, north_m) - height_m)
+    """Return the number of a cell's plane that is nearest to a height at a position; −1: none within."""
+    best, least = -1, within_m
+    for s in range(raster.slots.shape[2]):
+        k = raster.slots[cell[0], cell[1], s]
+        if k < 0:
+            continue
+        away = abs(_height(raster.planes, k, position_m[0], position_m[1]) - height_m)
+        if away < least:
+            best, least = k, away
     return best
 
 
 @compiled_without_gil
-def _reached_from(
-    start: int, planes: Floats, cell_of: Integers, slots: Integers, road_count: Integers
-) -> Integers:
-    """For each cell the plane (rows, columns, 1) that is reached first: over the road before over what is beside it."""
-    rows, columns, _ = slots.shape
+def _nearest_plane(
+    east_m: float, north_m: float, height_m: float, within_m: float, raster: _RoadRaster
+) -> int:
+    """Return the number of the plane at a position that is nearest to a height; −1: none within."""
+    cell = _cell(east_m, north_m, raster)
+    if cell[0] < 0:
+        return -1
+    return _nearest_in_cell(cell, (east_m, north_m), height_m, within_m=within_m, raster=raster)
+
+
+@compiled_without_gil
+def _reached_from(start: int, raster: _RoadRaster) -> Integers:
+    """Return for each cell the plane (rows, columns, 1) that is reached first: over the road, then over the rest."""
+    cell_of = raster.cell_of
+    rows, columns, _ = raster.slots.shape
     size = rows * columns
     reached = np.full((rows, columns, 1), -1, np.int32)
     on_road = np.zeros((rows, columns), np.bool_)
@@ -504,7 +397,7 @@ def _reached_from(
     road[0] = cell_of[start]
     reached[road[0] // columns, road[0] % columns, 0] = start
     on_road[road[0] // columns, road[0] % columns] = True
-    outside = np.empty(size, np.int32)  # cells beside it, as a ring; none stands in it twice
+    outside = np.empty(size, np.int32)  # cells next to it, as a ring; none is in it twice
     queued = np.zeros(size, np.bool_)
     head, waiting = 0, 0
     while road_head < road_tail or waiting:
@@ -522,23 +415,10 @@ def _reached_from(
             row, column = cell // columns + step // 3 - 1, cell % columns + step % 3 - 1
             if not (0 <= row < rows and 0 <= column < columns) or on_road[row, column]:
                 continue
-            far = _cells_between(row, column, cell_of[k], columns)
+            far = _cells_between(row, column, k, raster)
             if far * CELL_M > OUTWARDS_M:
                 continue
-            east, north = _centre_from(
-                planes=planes, cell_of=cell_of, k=k, row=row, column=column, columns=columns
-            )
-            # A gap in the cloud is bridged where the road goes on as it ended, within what its slope may be off by.
-            best, least = -1, _JOIN_M if from_road else min(_JOIN_M + 0.05 * far, 1.0)
-            for s in range(road_count[row, column]):
-                other = slots[row, column, s]
-                if from_road:
-                    e, n = 0.5 * (planes[k, 0] + east), 0.5 * (planes[k, 1] + north)
-                    gap = abs(_height(planes, other, e, n) - _height(planes, k, e, n))
-                else:
-                    gap = abs(planes[other, 2] - _height(planes, k, east, north))
-                if gap < least:
-                    best, least = other, gap
+            best = _continued_by(k, row, column, from_road, raster)
             if best >= 0:
                 reached[row, column, 0] = best
                 on_road[row, column] = True
@@ -546,7 +426,7 @@ def _reached_from(
                 road_tail += 1
                 continue
             known = reached[row, column, 0]
-            if known >= 0 and _cells_between(row, column, cell_of[known], columns) <= far:
+            if known >= 0 and _cells_between(row, column, known, raster) <= far:
                 continue
             reached[row, column, 0] = k
             place = row * columns + column
@@ -558,25 +438,55 @@ def _reached_from(
 
 
 @compiled_without_gil
-def _blended(
-    east_m: float, north_m: float, corner_m: Floats, planes: Floats, slots: Integers, first: int, out: Floats
-) -> None:
-    """Into `out`: height, slopes, sigma and distance at a place, of the planes about it that go with plane `first`."""
+def _continued_by(k: int, row: int, column: int, from_road: bool, raster: _RoadRaster) -> int:
+    """Return the plane of a cell in which the road of plane `k` continues; −1: none.
+
+    A gap in the cloud is bridged where the road continues as it ended, within the error of its slope.
+    """
+    planes = raster.planes
+    east, north = _centre_from(k, row, column, raster)
+    far = _cells_between(row, column, k, raster)
+    best, least = -1, _JOIN_M if from_road else min(_JOIN_M + 0.05 * far, 1.0)
+    for s in range(raster.road_count[row, column]):
+        other = raster.slots[row, column, s]
+        if from_road:
+            e, n = 0.5 * (planes[k, 0] + east), 0.5 * (planes[k, 1] + north)
+            gap = abs(_height(planes, other, e, n) - _height(planes, k, e, n))
+        else:
+            gap = abs(planes[other, 2] - _height(planes, k, east, north))
+        if gap < least:
+            best, least = other, gap
+    return best
+
+
+@compiled_without_gil
+def _roads_at(east_m: float, north_m: float, raster: _RoadRaster) -> Floats:
+    """Return the roads at a position (levels, 5): height, slopes, σ, distance."""
+    roads = np.empty((raster.slots.shape[2], 5))
+    row, column = _cell(east_m, north_m, raster)
+    at = 0
+    for s in range(raster.slots.shape[2] if row >= 0 else 0):
+        if raster.slots[row, column, s] >= 0:
+            _blend((east_m, north_m), raster.slots[row, column, s], raster, out=roads[at])
+            at += 1
+    return roads[:at]
+
+
+@compiled_without_gil
+def _blend(position_m: tuple[float, float], first: int, raster: _RoadRaster, out: Floats) -> None:
+    """Fill `out` (5,) with the mean at a position of the planes around that continue plane `first`."""
+    planes, (east_m, north_m) = raster.planes, position_m
     near = _height(planes, first, east_m, north_m)
-    x, y = (east_m - corner_m[0]) / CELL_M - 0.5, (north_m - corner_m[1]) / CELL_M - 0.5
+    x, y = (east_m - raster.corner_m[0]) / CELL_M - 0.5, (north_m - raster.corner_m[1]) / CELL_M - 0.5
     column, row = int(np.floor(x)), int(np.floor(y))
     u, v = x - column, y - row
     out[:] = 0.0
     total = 0.0
     for corner in range(4):
         r, c = row + corner // 2, column + corner % 2
-        if not (0 <= r < slots.shape[0] and 0 <= c < slots.shape[1]):
+        if not (0 <= r < raster.slots.shape[0] and 0 <= c < raster.slots.shape[1]):
             continue
-        best, least = -1, 0.5
-        for s in range(slots.shape[2]):
-            k = slots[r, c, s]
-            if k >= 0 and abs(_height(planes, k, east_m, north_m) - near) < least:
-                best, least = k, abs(_height(planes, k, east_m, north_m) - near)
+        best = _nearest_in_cell((r, c), position_m, near, within_m=0.5, raster=raster)
         if best < 0:
             continue
         weight = (v if corner // 2 else 1.0 - v) * (u if corner % 2 else 1.0 - u)
@@ -596,62 +506,29 @@ def _blended(
 
 
 @compiled_without_gil
-def _roads_at(place_m: Floats, corner_m: Floats, planes: Floats, slots: Integers) -> Floats:
-    """The roads at a place (levels, 5): height, slopes, sigma, distance."""
-    roads = np.empty((slots.shape[2], 5))
-    row, column = _cell(place_m[0], place_m[1], corner_m, slots)
-    if row < 0:
-        return roads[:0]
-    at = 0
-    for s in range(slots.shape[2]):
-        if slots[row, column, s] >= 0:
-            _blended(
-                place_m[0],
-                place_m[1],
-                corner_m=corner_m,
-                planes=planes,
-                slots=slots,
-                first=slots[row, column, s],
-                out=roads[at],
-            )
-            at += 1
-    return roads[:at]
-
-
-@compiled_without_gil
-def _nearest_heights(
-    points_m: Floats, corner_m: Floats, planes: Floats, slots: Integers, near_m: Floats
-) -> Floats:
-    """Height (n,) of the road at points (n, 3) that is nearest to a height for each (n,); NaN where there is none."""
+def _nearest_heights(points_m: Floats, raster: _RoadRaster) -> Floats:
+    """Return the height (n,) of the road at points (n, 3) that is nearest to each; NaN where there is none."""
     heights = np.full(len(points_m), np.nan)
     for i in range(len(points_m)):
-        row, column = _cell(points_m[i, 0], points_m[i, 1], corner_m, slots)
-        if row < 0:
-            continue
-        least = np.inf
-        for s in range(slots.shape[2]):
-            k = slots[row, column, s]
-            if k >= 0:
-                height = _height(planes, k, points_m[i, 0], points_m[i, 1])
-                if abs(height - near_m[i]) < least:
-                    heights[i], least = height, abs(height - near_m[i])
+        east, north = points_m[i, 0], points_m[i, 1]
+        k = _nearest_plane(east, north, points_m[i, 2], within_m=np.inf, raster=raster)
+        if k >= 0:
+            heights[i] = _height(raster.planes, k, east, north)
     return heights
 
 
 @compiled_without_gil
-def _heights_below(points_m: Floats, corner_m: Floats, planes: Floats, slots: Integers) -> Floats:
-    """Height (n,) of the highest road at points (n, 3) not more than 0.3 m above them, else of the lowest; or NaN."""
+def _heights_below(points_m: Floats, raster: _RoadRaster) -> Floats:
+    """Return the height (n,) of the highest road not more than 0.3 m above each point (n, 3), else of the lowest."""
     heights = np.full(len(points_m), np.nan)
     for i in range(len(points_m)):
-        row, column = _cell(points_m[i, 0], points_m[i, 1], corner_m, slots)
-        if row < 0:
-            continue
+        row, column = _cell(points_m[i, 0], points_m[i, 1], raster)
         below = -np.inf
         lowest = np.inf
-        for s in range(slots.shape[2]):
-            k = slots[row, column, s]
+        for s in range(raster.slots.shape[2] if row >= 0 else 0):
+            k = raster.slots[row, column, s]
             if k >= 0:
-                height = _height(planes, k, points_m[i, 0], points_m[i, 1])
+                height = _height(raster.planes, k, points_m[i, 0], points_m[i, 1])
                 lowest = min(lowest, height)
                 if height <= points_m[i, 2] + 0.3:
                     below = max(below, height)
@@ -661,18 +538,14 @@ def _heights_below(points_m: Floats, corner_m: Floats, planes: Floats, slots: In
 
 
 @compiled_without_gil
-def _between(
-    points_m: Floats, corner_m: Floats, planes: Floats, slots: Integers, low_m: float, high_m: float
-) -> NDArray[np.bool_]:
+def _between(points_m: Floats, raster: _RoadRaster, low_m: float, high_m: float) -> NDArray[np.bool_]:
     between = np.zeros(len(points_m), np.bool_)
     for i in range(len(points_m)):
-        row, column = _cell(points_m[i, 0], points_m[i, 1], corner_m, slots)
-        if row < 0:
-            continue
-        for s in range(slots.shape[2]):
-            k = slots[row, column, s]
+        row, column = _cell(points_m[i, 0], points_m[i, 1], raster)
+        for s in range(raster.slots.shape[2] if row >= 0 else 0):
+            k = raster.slots[row, column, s]
             if k >= 0:
-                height = points_m[i, 2] - _height(planes, k, points_m[i, 0], points_m[i, 1])
+                height = points_m[i, 2] - _height(raster.planes, k, points_m[i, 0], points_m[i, 1])
                 if low_m <= height <= high_m:
                     between[i] = True
                     break
