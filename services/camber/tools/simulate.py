@@ -14,19 +14,20 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
 from tqdm import tqdm
 
-from camber.formats.errors import FormatError
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError
-from camber.schemas.drive import ManifestError, load_manifest
+from camber.schemas.drive import load_manifest
 from camber.simulator.output.drive_folder import parts_of, write_drive
 from camber.simulator.output.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SECONDS, SEED
 from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.feed import add_bus_arguments, feed
@@ -34,7 +35,7 @@ from camber.tools.record.feed import add_bus_arguments, feed
 _PROG = "camber simulate"
 _MARK = "scenario.json"
 _LONG_STOP_S = (
-    5.0  # chosen: a longer stop at the end is reported, because the route may be too short for the duration
+    5.0  # chosen: a longer stop at the end is reported, the route may be too short for the duration
 )
 
 
@@ -44,40 +45,42 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
     if args.out is None and not args.live:
         parser.error("expected --out DIR, --live or both")
-    overrides = [*args.set, *([f"seed={args.seed}"] if args.seed is not None else [])]
+    if args.starts_in is not None and not args.live:
+        parser.error("expected --live with --starts-in")
     # SIGTERM raises KeyboardInterrupt, so that the temporary folder is removed.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        if args.starts_in is not None:
-            if not args.live:
-                parser.error("expected --live with --starts-in")
-            start = gpst_from_gps_ns(SystemClock().now_ns() + round(args.starts_in * 1e9))
-            overrides.append(
-                f"start={start.year:04d}-{start.month:02d}-{start.day:02d}"
-                f"T{start.hour:02d}:{start.minute:02d}:{start.second:02d}"
-            )
-        scenario = load_scenario(args.scenario, overrides)
-        if not args.live:
-            simulate(scenario, args.out, quiet=args.quiet)
-        elif scenario.fleet is not None:
-            raise ScenarioError(f"{scenario.name}: a fleet, expected one vehicle for --live")
-        else:
-            with _folder(args.out) as out:
-                _live(simulate(scenario, out, quiet=args.quiet), args)
-    except (ScenarioError, ManifestError, FormatError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except BusError as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 3
-    except KeyboardInterrupt:
-        print(f"{_PROG}: interrupted", file=sys.stderr)
-        return 130
+        return report_failures(_PROG, args.out or Path(args.scenario), lambda: _run(args))
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _run(args: argparse.Namespace) -> int:
+    overrides = [*args.set, *([f"seed={args.seed}"] if args.seed is not None else [])]
+    if args.starts_in is not None:
+        start = gpst_from_gps_ns(SystemClock().now_ns() + round(args.starts_in * 1e9))
+        overrides.append(f"start={datetime(*start[:6]).isoformat()}")
+    scenario = load_scenario(args.scenario, overrides)
+    if not args.live:
+        simulate(scenario, args.out, quiet=args.quiet)
+        return 0
+    if scenario.fleet is not None:
+        raise ScenarioError(f"{scenario.name}: a fleet, expected one vehicle for --live")
+    with _folder(args.out) as out:
+        manifest = simulate(scenario, out, quiet=args.quiet)
+        try:
+            with stopped_by_signals() as stop:
+                feed(
+                    load_manifest(manifest),
+                    manifest.parent,
+                    stop,
+                    connect=args.connect,
+                    vehicle=args.vehicle,
+                    prog=_PROG,
+                )
+        except BusError as error:
+            print(f"{_PROG}: {error}", file=sys.stderr)
+            return 3
     return 0
 
 
@@ -91,18 +94,6 @@ def _folder(out: Path | None) -> Iterator[Path]:
         yield Path(folder) / "drive"
 
 
-def _live(manifest: Path, args: argparse.Namespace) -> None:
-    with stopped_by_signals() as stop:
-        feed(
-            load_manifest(manifest),
-            manifest.parent,
-            stop,
-            connect=args.connect,
-            vehicle=args.vehicle,
-            prog=_PROG,
-        )
-
-
 def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     """Run the simulation, with a progress bar on a terminal; returns the manifest's path, or the folder of a fleet.
 
@@ -111,7 +102,7 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     _check_room(out)
     began = time.monotonic()
     hidden = quiet or not sys.stderr.isatty()
-    stands = ""
+    stops = ""
     if scenario.fleet is not None:
         _make_room(out, scenario)
         with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
@@ -121,7 +112,7 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     else:
         drive = simulate_drive(scenario)
         if drive.arrives_s < scenario.duration_s - _LONG_STOP_S:
-            stands = f", at the end of its way after {drive.arrives_s:.0f} s"
+            stops = f", at the end of its route after {drive.arrives_s:.0f} s"
         _make_room(out, scenario)
         with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
             for part in write_drive(out, drive):
@@ -129,9 +120,8 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
                 bar.update()
         made = out / "drive.toml"
     if not quiet:
-        print(
-            f"simulated {scenario.name}, seed {scenario.seed}, in {time.monotonic() - began:.0f} s{stands}: {made}"
-        )
+        took_s = time.monotonic() - began
+        print(f"simulated {scenario.name}, seed {scenario.seed}, in {took_s:.0f} s{stops}: {made}")
     return made
 
 

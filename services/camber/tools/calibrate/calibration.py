@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.formats.observations import Floats, Integers
 
@@ -26,9 +25,7 @@ LEAST_FIXES = 50  # chosen: ten seconds of fixes at 5 Hz
 LEAST_CLUSTERS = 4  # chosen: as many as there are parameters, fewer give no covariance
 LEAST_SPREAD = 0.05
 """Chosen: 1 − |mean of exp(i yaw)|; below it (headings within some 18°) lever arm and base are not separable."""
-_TUKEY = (
-    4.685  # Tukey's biweight, 95 % efficiency for normal errors (Beaton and Tukey, Technometrics 16, 1974)
-)
+_TUKEY = 4.685  # 95 % efficiency for normal errors (Beaton and Tukey, Technometrics 16, 1974)
 _LEAST_SCALE_M = 0.02  # chosen: noise of an RTK fix, keeps the scale above zero for noiseless data
 _LEAST_SIGMA_M = 0.005  # chosen: a few clusters estimate their scatter poorly
 _ITERATIONS = 50  # chosen: bound; iterations end once the values change by less than 1 µm
@@ -64,25 +61,21 @@ def calibrate_horizontal(pairs: FixPosePairs) -> HorizontalCalibration | None:
     clusters = clusters_of(pairs.time_ns)
     if len(pairs.time_ns) < LEAST_FIXES or len(np.unique(clusters)) < LEAST_CLUSTERS:
         return None
-    turned, fixed = _lever_columns(pairs.yaw_rad), _base_columns(len(pairs.yaw_rad))
-    if circular_variance(pairs.yaw_rad) >= LEAST_SPREAD:
-        values, sigma, used = _fit(np.concatenate((turned, fixed), axis=2), pairs, clusters)
-        return HorizontalCalibration(
-            lever_m=values[:2],
-            lever_sigma_m=sigma[:2],
-            base_m=values[2:],
-            base_sigma_m=sigma[2:],
-            separable=True,
-            used=used,
-        )
-    lever, lever_sigma, used = _fit(turned, pairs, clusters)
-    base, base_sigma, _ = _fit(fixed, pairs, clusters)
+    of_lever = _lever_columns(pairs.yaw_rad)
+    of_base = np.broadcast_to(np.eye(2), of_lever.shape)
+    separable = circular_variance(pairs.yaw_rad) >= LEAST_SPREAD
+    if separable:
+        values, sigma, used = _fit(np.concatenate((of_lever, of_base), axis=2), pairs, clusters)
+        lever, base, lever_sigma, base_sigma = values[:2], values[2:], sigma[:2], sigma[2:]
+    else:
+        lever, lever_sigma, used = _fit(of_lever, pairs, clusters)
+        base, base_sigma, _ = _fit(of_base, pairs, clusters)
     return HorizontalCalibration(
         lever_m=lever,
         lever_sigma_m=lever_sigma,
         base_m=base,
         base_sigma_m=base_sigma,
-        separable=False,
+        separable=separable,
         used=used,
     )
 
@@ -102,10 +95,6 @@ def _lever_columns(yaw_rad: Floats) -> Floats:
     """Return the partial derivatives (n, 2, 2) of east and north by forward and left."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.stack((np.stack((cos, -sin), axis=1), np.stack((sin, cos), axis=1)), axis=1)
-
-
-def _base_columns(n: int) -> Floats:
-    return np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
 
 
 def _fit(columns: Floats, pairs: FixPosePairs, clusters: Integers) -> tuple[Floats, Floats, float]:
@@ -147,7 +136,7 @@ def _least_absolute_deviations(columns: Floats, pairs: FixPosePairs) -> Floats:
     return values
 
 
-def _solve(columns: Floats, observed_m: Floats, weight: NDArray[np.float64]) -> tuple[Floats, Floats]:
+def _solve(columns: Floats, observed_m: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Return the weighted least-squares values and the inverse of the normal matrix."""
     normal = np.linalg.inv(np.einsum("nij,nik,n->jk", columns, columns, weight))
     return normal @ np.einsum("nij,ni,n->j", columns, observed_m, weight), normal

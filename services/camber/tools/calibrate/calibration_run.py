@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.formats.observations import Floats
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.height_check import road_at
 from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pose_sigma_m
@@ -71,11 +70,20 @@ def estimate_antenna_height(cells: Sequence[ResidualCell]) -> CommonOffset | Non
     """Estimate the antenna's height above the road for a base without vertical error; None: too little road."""
     if len(cells) < _LEAST_STRETCHES:
         return None
-    return estimate_common_offset(_differences(cells), _MAP_CORRELATION_M, _middle_m(cells), _ANY_HEIGHT_M)
-
-
-def _middle_m(cells: Sequence[ResidualCell]) -> float:
-    return float(np.median([cell.up_m for cell in cells if cell.up_m is not None]))
+    known = [cell for cell in cells if cell.up_m is not None]
+    first = known[0]
+    origin = first.latitude_rad, first.longitude_rad
+    up_m = np.array([cell.up_m for cell in known], np.float64)
+    differences = HeightDifferences(
+        up_m=up_m,
+        variance_m2=np.array([cell.fix_sigma_m**2 for cell in known], np.float64),
+        map_sigma_m=np.array([cell.map_sigma_m for cell in known], np.float64),
+        place_m=np.array(
+            [east_north_between(*origin, cell.latitude_rad, cell.longitude_rad) for cell in known]
+        ),
+        time_s=np.array([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known], np.float64),
+    )
+    return estimate_common_offset(differences, _MAP_CORRELATION_M, float(np.median(up_m)), _ANY_HEIGHT_M)
 
 
 def _nearest(poses: Sequence[Pose], times_ns: Sequence[int], at_ns: int) -> Pose | None:
@@ -116,25 +124,4 @@ def _height(fix: Fix, pose: Pose) -> FixResidual | None:
         fix_sigma_m=sigma_m,
         map_sigma_m=road.sigma_m,
         surface_id=road.surface_id,
-    )
-
-
-def _differences(cells: Sequence[ResidualCell]) -> HeightDifferences:
-    known = [cell for cell in cells if cell.up_m is not None]
-    first = known[0]
-
-    def place(cell: ResidualCell) -> tuple[float, float]:
-        return east_north_between(
-            first.latitude_rad, first.longitude_rad, cell.latitude_rad, cell.longitude_rad
-        )
-
-    def column(values: list[float | None]) -> Floats:
-        return np.array(values, np.float64)
-
-    return HeightDifferences(
-        up_m=column([cell.up_m for cell in known]),
-        variance_m2=column([cell.fix_sigma_m**2 for cell in known]),
-        map_sigma_m=column([cell.map_sigma_m for cell in known]),
-        place_m=np.array([place(cell) for cell in known]),
-        time_s=column([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known]),
     )

@@ -4,53 +4,44 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from camber.formats.errors import FormatError
 from camber.integrity.learning.common_offset import CommonOffset
 from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.lock_step.processes import config_text
-from camber.runtime.settings import ConfigError, load
+from camber.runtime.settings import load
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.motion import LeverArm
-from camber.schemas.toml_file import FileError
 from camber.tools.calibrate.calibration import HorizontalCalibration, calibrate_horizontal
 from camber.tools.calibrate.calibration_run import CalibrationData, estimate_antenna_height, pair
 from camber.tools.localize.drive_anchors import receiver_fixes
 from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import localize
+from camber.tools.options.error_report import report_failures
 
 _PROG = "camber calibrate"
-_LOAD_SIGMA_M = 0.01
-"""Chosen: load and tyres move an antenna by about this from drive to drive."""
+_LOAD_SIGMA_M = 0.01  # chosen: load and tyres move an antenna by about this from drive to drive
 
 
 def main(argv: Sequence[str]) -> int:
     """Calibrate from one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
-    try:
+
+    def work() -> int:
         summary, snippet = calibrate(load_manifest(args.drive, args.set), quiet=args.quiet)
-        if args.out is not None:
-            args.out.parent.mkdir(parents=True, exist_ok=True)
-            args.out.write_text(snippet, "utf-8")
-    except (FileError, FormatError, ConfigError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{_PROG}: interrupted", file=sys.stderr)
-        return 130
-    print(summary if args.out is None else f"{summary}\nWritten: {args.out}.")
-    if args.out is None:
-        print(f"\n{snippet}", end="")
-    return 0
+        if args.out is None:
+            print(f"{summary}\n\n{snippet}", end="")
+            return 0
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(snippet, "utf-8")
+        print(f"{summary}\nWritten: {args.out}.")
+        return 0
+
+    return report_failures(_PROG, args.out or args.drive, work)
 
 
 def calibrate(manifest: DriveManifest, *, quiet: bool = True) -> tuple[str, str]:
@@ -62,17 +53,14 @@ def calibrate(manifest: DriveManifest, *, quiet: bool = True) -> tuple[str, str]
         work = Path(folder)
         data = _calibration_data(prepare_drive(manifest, work / "work"), work, quiet=quiet)
     horizontal, height = calibrate_horizontal(data.pairs), estimate_antenna_height(data.cells)
-    if horizontal is None and height is None:
-        raise ManifestError(
-            f"{manifest.name}: {data.fixes} fixes, {len(data.pairs.time_ns)} with a scan match and "
-            f"{len(data.cells)} stretches of known road, expected some minutes of either"
-        )
     arm = manifest.lever_arms.antenna
     counts = (
         f"{manifest.name}: {data.fixes:,} fixes, {len(data.pairs.time_ns):,} with a scan match, "
-        f"{len(data.cells):,} stretches of known road."
+        f"{len(data.cells):,} stretches of known road"
     )
-    lines = [counts, *_horizontal_lines(horizontal, arm), *_height_lines(height, arm)]
+    if horizontal is None and height is None:
+        raise ManifestError(f"{counts}, expected some minutes of either")
+    lines = [f"{counts}.", *_horizontal_lines(horizontal, arm), *_height_lines(height, arm)]
     return "\n".join(lines), _snippet(manifest.name, horizontal, height, arm)
 
 
@@ -80,13 +68,12 @@ def _calibration_data(inputs: DriveInputs, work: Path, *, quiet: bool) -> Calibr
     """Pair the fixes with poses of a localizer that does not receive them."""
     manifest = inputs.manifest
     fixes = receiver_fixes(inputs)
-    missing = {
-        "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs": not inputs.motion,
-        "initial_pose, expected one: poses must be independent of the fixes": inputs.initial_pose is None,
-        "table map, expected one, or links and road_surfaces as surrogates": inputs.map_release is None,
-    }
-    for expected, is_missing in missing.items():
-        if is_missing:
+    for present, expected in (
+        (inputs.motion, "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"),
+        (inputs.initial_pose, "initial_pose, expected one: poses must be independent of the fixes"),
+        (inputs.map_release, "table map, expected one, or links and road_surfaces as surrogates"),
+    ):
+        if not present:
             raise ManifestError(f"{manifest.name}: no {expected}")
     assert inputs.map_release is not None
     file = work / "localizer.toml"
@@ -99,9 +86,8 @@ def _calibration_data(inputs: DriveInputs, work: Path, *, quiet: bool) -> Calibr
 
 def _horizontal_lines(result: HorizontalCalibration | None, arm: LeverArm) -> list[str]:
     if result is None:
-        return [
-            "Lever arm and horizontal base offset: not estimated, expected a minute of fixes with scan matches."
-        ]
+        expected = "expected a minute of fixes with scan matches"
+        return [f"Lever arm and horizontal base offset: not estimated, {expected}."]
     x_m, y_m = arm.x_m + result.lever_m[0], arm.y_m + result.lever_m[1]
     lever = (
         f"antenna {x_m:.3f} ± {result.lever_sigma_m[0]:.3f} m forward, "
@@ -138,27 +124,20 @@ def _snippet(
 ) -> str:
     """Return tables for drive.toml; the base offset, which has no setting, as a comment."""
     lines = [f"# Estimated by camber calibrate from the drive {name}."]
-    if horizontal is not None and horizontal.separable:
-        east_m, north_m = horizontal.base_m
-        lines.append(f"# The base's coordinates put fixes {east_m:+.3f} m east, {north_m:+.3f} m north.")
-    lines.append("[lever_arms.antenna]")
-    off_m = (0.0, 0.0) if horizontal is None else (float(horizontal.lever_m[0]), float(horizontal.lever_m[1]))
-    note = "  # as it was set" if horizontal is None else ""
-    if horizontal is not None and not horizontal.separable:
-        note = "  # if the base is correct"
-    lines += [f"x_m = {arm.x_m + off_m[0]:.3f}{note}", f"y_m = {arm.y_m + off_m[1]:.3f}{note}"]
+    x_m, y_m, note = arm.x_m, arm.y_m, "  # as it was set"
+    if horizontal is not None:
+        x_m, y_m = x_m + float(horizontal.lever_m[0]), y_m + float(horizontal.lever_m[1])
+        note = "" if horizontal.separable else "  # if the base is correct"
+        if horizontal.separable:
+            east_m, north_m = horizontal.base_m
+            lines.append(f"# The base's coordinates put fixes {east_m:+.3f} m east, {north_m:+.3f} m north.")
+    lines += ["[lever_arms.antenna]", f"x_m = {x_m:.3f}{note}", f"y_m = {y_m:.3f}{note}"]
     if height is None:
         return "\n".join([*lines, f"z_m = {arm.z_m:.3f}  # as it was set", ""])
     sigma_m = math.hypot(height.sigma_m, _LOAD_SIGMA_M)
-    lines += [
-        f"z_m = {height.value_m:.3f}",
-        "",
-        "[antenna_height]",
-        'way = "fixed"',
-        f"height_m = {height.value_m:.3f}",
-        f"sigma_m = {sigma_m:.3f}",
-    ]
-    return "\n".join([*lines, ""])
+    z_m = f"{height.value_m:.3f}"
+    lines += [f"z_m = {z_m}", "", "[antenna_height]", 'way = "fixed"', f"height_m = {z_m}"]
+    return "\n".join([*lines, f"sigma_m = {sigma_m:.3f}", ""])
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 import re
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -69,34 +69,31 @@ def page() -> str:
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 
-def _streams(channels: list[Channel]) -> str:
+def _table(header: str, channels: list[Channel], columns: Callable[[Channel], list[str]]) -> str:
     rows = [
-        "| channel | key | message | from | to | Hz | oldest | delivery |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {c.name}{_note(c)} | `{c.key}` | {_link(c.message)} | {' | '.join(columns(c))} |"
+        for c in channels
     ]
-    for channel in channels:
-        delivery = f"`{channel.delivery}`" + (", looped" if channel.looped else "")
-        rows.append(
-            f"| {channel.name}{_note(channel)} | `{channel.key}` | {_link(channel.message)} | "
-            f"{', '.join(channel.producers)} | {', '.join(channel.consumers) or 'whoever records'} | "
-            f"{_number(channel.rate_hz)} | {_seconds(channel.max_age_s)} | {delivery} |"
-        )
-    return "\n".join(rows)
+    return "\n".join([f"| {header} |", "|" + "---|" * (header.count("|") + 1), *rows])
+
+
+def _streams(channels: list[Channel]) -> str:
+    def columns(c: Channel) -> list[str]:
+        consumers = ", ".join(c.consumers) or "recorders"
+        delivery = f"`{c.delivery}`" + (", looped" if c.looped else "")
+        return [", ".join(c.producers), consumers, _number(c.rate_hz), _seconds(c.max_age_s), delivery]
+
+    return _table("channel | key | message | from | to | Hz | oldest | delivery", channels, columns)
 
 
 def _queries(channels: list[Channel]) -> str:
-    rows = [
-        "| channel | key | question | reply | asked by | answered by | Hz | within | delivery |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for channel in channels:
-        assert channel.reply is not None
-        rows.append(
-            f"| {channel.name}{_note(channel)} | `{channel.key}` | {_link(channel.message)} | "
-            f"{_link(channel.reply)} | {', '.join(channel.producers)} | {', '.join(channel.consumers)} | "
-            f"{_number(channel.rate_hz)} | {_seconds(channel.max_age_s)} | `{channel.delivery}` |"
-        )
-    return "\n".join(rows)
+    def columns(c: Channel) -> list[str]:
+        assert c.reply is not None
+        services = [", ".join(c.producers), ", ".join(c.consumers)]
+        return [_link(c.reply), *services, _number(c.rate_hz), _seconds(c.max_age_s), f"`{c.delivery}`"]
+
+    header = "channel | key | question | reply | asked by | answered by | Hz | within | delivery"
+    return _table(header, channels, columns)
 
 
 def _note(channel: Channel) -> str:
@@ -126,20 +123,20 @@ def _all_messages() -> Iterator[type[Message]]:
 
 def _models(messages: Iterable[type[Message] | None]) -> list[type[Model]]:
     """Messages in their order, each followed by its parts, each once."""
-    found: dict[type[Model], None] = {}
+    models: dict[type[Model], None] = {}
     for message in messages:
         if message is not None and message is not Message:
-            found |= dict.fromkeys([message, *_parts(message)])
-    return list(found)
+            models |= dict.fromkeys([message, *_parts(message)])
+    return list(models)
 
 
 def _parts(model: type[Model]) -> list[type[Model]]:
-    found: list[type[Model]] = []
+    parts: list[type[Model]] = []
     for info in model.model_fields.values():
         for part in _leaves(info.annotation):
             if isinstance(part, type) and issubclass(part, Model):
-                found += [part, *_parts(part)]
-    return found
+                parts += [part, *_parts(part)]
+    return parts
 
 
 def _leaves(annotation: Any) -> list[Any]:
@@ -159,25 +156,12 @@ def _model(model: type[Model]) -> str:
 
 
 _UNITS = (
-    ("_enu_m2_s2", "m²/s²"),
-    ("_enu_m2", "m²"),
-    ("_rad_s", "rad/s"),
-    ("_enu_m_s", "m/s"),
-    ("_m_s", "m/s"),
-    ("_dbhz", "dB-Hz"),
-    ("_cycles", "cycles"),
-    ("_bytes", "bytes"),
-    ("_year", "year"),
-    ("_hz", "Hz"),
-    ("_rad", "rad"),
-    ("_999_m", "m"),
-    ("time_ns", "ns of GPS time"),
-    ("_seen_ns", "ns of GPS time"),
-    ("_ns", "ns"),
-    ("_east_north", "m²"),
-    ("_m", "m"),
-    ("_s", "s"),
-)
+    ("_enu_m2_s2", "m²/s²"), ("_enu_m2", "m²"), ("_rad_s", "rad/s"), ("_enu_m_s", "m/s"), ("_m_s", "m/s"),
+    ("_dbhz", "dB-Hz"), ("_cycles", "cycles"), ("_bytes", "bytes"), ("_year", "year"), ("_hz", "Hz"), ("_rad", "rad"),
+    ("_999_m", "m"), ("time_ns", "ns of GPS time"), ("_seen_ns", "ns of GPS time"), ("_ns", "ns"),
+    ("_east_north", "m²"), ("_m", "m"), ("_s", "s"),
+)  # fmt: skip
+"""Ending of a field's name and its unit; the first that fits counts."""
 
 
 def unit_of(name: str) -> str:

@@ -1,4 +1,4 @@
-"""`camber calibrate`: what it says of a drive, and one clear line for a drive that lacks something."""
+"""`camber calibrate`: the summary and the TOML of a drive, and one clear line for a drive that lacks something."""
 
 from __future__ import annotations
 
@@ -39,11 +39,8 @@ def drive(
         yaw_rad = 0.5 * math.pi * (epoch // 75) % (2.0 * math.pi) if turns else 0.0
         east_m, north_m = east_m + 2.0 * math.cos(yaw_rad), north_m + 2.0 * math.sin(yaw_rad)
         place = FRAME.geodetic_from_east_north(east_m, north_m, judging.ROAD_M)[:2]
-        poses.append(
-            judging.pose(
-                epoch, mode=mode, latitude_rad=place[0], longitude_rad=place[1], yaw_rad=yaw_rad, sigma_m=0.05
-            )
-        )
+        at_place = {"latitude_rad": place[0], "longitude_rad": place[1], "yaw_rad": yaw_rad}
+        poses.append(judging.pose(epoch, mode=mode, sigma_m=0.05, **at_place))
         forward, left = LEVER_M
         east = forward * math.cos(yaw_rad) - left * math.sin(yaw_rad) + BASE_M[0] + rng.normal(0.0, 0.03)
         north = forward * math.sin(yaw_rad) + left * math.cos(yaw_rad) + BASE_M[1] + rng.normal(0.0, 0.03)
@@ -59,18 +56,18 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_short_drive(tmp_path_factory.mktemp("short") / "drive", 1)
 
 
-def test_lever_arm_base_and_height_come_out_of_fixes_beside_poses() -> None:
+def test_lever_arm_base_and_height_follow_from_fixes_and_poses() -> None:
     paired = pair(*drive())
-    found, height = calibrate_horizontal(paired.pairs), estimate_antenna_height(paired.cells)
-    assert found is not None
+    result, height = calibrate_horizontal(paired.pairs), estimate_antenna_height(paired.cells)
+    assert result is not None
     assert height is not None
-    assert found.separable
-    assert found.lever_m == pytest.approx(LEVER_M, abs=0.02)
-    assert found.base_m == pytest.approx(BASE_M[:2], abs=0.02)
+    assert result.separable
+    assert result.lever_m == pytest.approx(LEVER_M, abs=0.02)
+    assert result.base_m == pytest.approx(BASE_M[:2], abs=0.02)
     assert height.value_m == pytest.approx(judging.ANTENNA_M + BASE_M[2], abs=0.02)
 
 
-def test_only_fixed_positions_beside_a_pose_of_their_time_count() -> None:
+def test_only_fixed_positions_with_a_pose_of_their_time_count() -> None:
     fixes, poses = drive(20.0)
     assert pair([fix.model_copy(update={"quality": "float"}) for fix in fixes], poses).fixes == 0
     late = [fix.model_copy(update={"time_ns": fix.time_ns + 10**12}) for fix in fixes]
@@ -78,13 +75,13 @@ def test_only_fixed_positions_beside_a_pose_of_their_time_count() -> None:
     assert len(pair(fixes, []).pairs.time_ns) == 0
 
 
-def test_poses_that_are_no_scan_match_tell_heights_alone() -> None:
+def test_poses_that_are_no_scan_match_give_heights_alone() -> None:
     paired = pair(*drive(mode="dead_reckoning"))
     assert len(paired.pairs.time_ns) == 0
     assert estimate_antenna_height(paired.cells) is not None
 
 
-def test_of_roads_that_are_not_known_or_of_another_datum_no_height_is_told() -> None:
+def test_of_roads_that_are_not_known_or_of_another_datum_no_height_is_estimated() -> None:
     fixes, poses = drive(20.0)
     for road in (judging.road(datum="JGD2011"), judging.road(status="unknown", elevation_m=None)):
         paired = pair(fixes, [pose.model_copy(update={"road": road}) for pose in poses])
@@ -99,28 +96,28 @@ def test_a_stretch_belongs_to_no_antenna_or_base() -> None:
 # The command
 
 
-def test_without_scan_matches_it_finds_the_height_and_says_what_it_cannot(blind: Path) -> None:
-    said, snippet = calibrate(load_manifest(blind))
-    assert "not estimated, expected a minute of fixes with scan matches" in said
+def test_without_scan_matches_it_estimates_the_height_alone(blind: Path) -> None:
+    summary, snippet = calibrate(load_manifest(blind))
+    assert "not estimated, expected a minute of fixes with scan matches" in summary
     manifest = load_manifest(blind)
     table = tomllib.loads(snippet)
     assert table["antenna_height"]["height_m"] == pytest.approx(manifest.antenna_height.height_m, abs=0.05)
     assert table["lever_arms"]["antenna"]["x_m"] == pytest.approx(manifest.lever_arms.antenna.x_m)
 
 
-def told(
+def calibrated(
     monkeypatch: pytest.MonkeyPatch, blind: Path, fixes: list[Fix], poses: list[Pose]
 ) -> tuple[str, str]:
-    """What the command makes of these."""
+    """The command's summary and TOML of these."""
     monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair(fixes, poses))
     return calibrate(load_manifest(blind))
 
 
-def test_what_was_set_and_what_was_found_stand_beside_each_other(
+def test_the_setting_and_the_estimate_are_both_in_the_result(
     monkeypatch: pytest.MonkeyPatch, blind: Path
 ) -> None:
-    said, snippet = told(monkeypatch, blind, *drive())
-    assert "Base offset: +0.7" in said
+    summary, snippet = calibrated(monkeypatch, blind, *drive())
+    assert "Base offset: +0.7" in summary
     table = tomllib.loads(snippet)
     arm = load_manifest(blind).lever_arms.antenna
     assert table["lever_arms"]["antenna"]["x_m"] == pytest.approx(arm.x_m + LEVER_M[0], abs=0.02)
@@ -128,29 +125,31 @@ def test_what_was_set_and_what_was_found_stand_beside_each_other(
     assert "# The base's coordinates put fixes +0.7" in snippet
 
 
-def test_without_turns_it_says_so(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
-    said, snippet = told(monkeypatch, blind, *drive(turns=False))
-    assert "Too few turns to separate lever arm and base offset" in said
+def test_without_turns_the_summary_has_both_cases(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
+    summary, snippet = calibrated(monkeypatch, blind, *drive(turns=False))
+    assert "Too few turns to separate lever arm and base offset" in summary
     assert "# if the base is correct" in snippet
 
 
 def test_without_roads_the_height_stays_as_it_was_set(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
     fixes, poses = drive()
     unknown = judging.road(status="unknown", elevation_m=None)
-    said, snippet = told(
+    summary, snippet = calibrated(
         monkeypatch, blind, fixes, [pose.model_copy(update={"road": unknown}) for pose in poses]
     )
-    assert "Antenna height: not estimated" in said
+    assert "Antenna height: not estimated" in summary
     assert "antenna_height" not in tomllib.loads(snippet)
 
 
-def test_a_height_that_changed_on_the_way_is_said(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
+def test_a_height_that_changed_during_the_drive_is_reported(
+    monkeypatch: pytest.MonkeyPatch, blind: Path
+) -> None:
     fixes, poses = drive()
     sinking = [fix.model_copy(update={"height_m": fix.height_m - 0.0005 * n}) for n, fix in enumerate(fixes)]
-    assert "It changed by 0.29 m" in told(monkeypatch, blind, sinking, poses)[0]
+    assert "It changed by 0.29 m" in calibrated(monkeypatch, blind, sinking, poses)[0]
 
 
-def test_it_writes_the_toml_where_it_is_told_to(
+def test_it_writes_the_toml_to_the_file_given(
     blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair(*drive()))
@@ -190,7 +189,7 @@ def test_what_is_missing_is_one_line_and_code_2(
     assert expected in line
 
 
-def test_a_drive_that_says_nothing_is_one_line(
+def test_a_drive_without_fixes_is_one_line(
     blind: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair([], []))

@@ -1,4 +1,4 @@
-"""Lever arm and base offset from differences of fixes and poses: told apart by turns alone, with honest σ."""
+"""Lever arm and base offset from differences of fixes and poses: separable by turns alone, with honest σ."""
 
 import numpy as np
 import pytest
@@ -41,13 +41,14 @@ def pairs(
     return FixPosePairs(time_ns=time_ns, east_north_m=seen_m, yaw_rad=yaw_rad, sigma_m=np.full(n, 0.1))
 
 
-def known(result: HorizontalCalibration | None) -> HorizontalCalibration:
+def calibrated(seed: int = SEED, **more: float) -> HorizontalCalibration:
+    result = calibrate_horizontal(pairs(seed, **more))
     assert result is not None
     return result
 
 
-def test_with_turns_both_are_found_wrong_fixes_or_not() -> None:
-    result = known(calibrate_horizontal(pairs()))
+def test_with_turns_both_are_estimated_wrong_fixes_or_not() -> None:
+    result = calibrated()
     assert result.separable
     assert result.lever_m == pytest.approx(LEVER_M, abs=0.02)
     assert result.base_m == pytest.approx(BASE_M, abs=0.02)
@@ -58,40 +59,38 @@ def test_their_sigma_is_that_of_their_errors() -> None:
     print("seeds 0 to 59")
     off = []
     for seed in range(60):
-        result = known(calibrate_horizontal(pairs(seed)))
-        off += [
-            *(result.lever_m - LEVER_M) / result.lever_sigma_m,
-            *(result.base_m - BASE_M) / result.base_sigma_m,
-        ]
+        result = calibrated(seed)
+        off += ((result.lever_m - LEVER_M) / result.lever_sigma_m).tolist()
+        off += ((result.base_m - BASE_M) / result.base_sigma_m).tolist()
     print(f"{np.std(off):.2f} of their σ")
     assert 0.7 < float(np.std(off)) < 1.4
 
 
-def test_without_turns_each_is_told_as_if_the_other_were_right() -> None:
-    result = known(calibrate_horizontal(pairs(turns=0.0)))
+def test_without_turns_each_is_estimated_as_if_the_other_were_right() -> None:
+    result = calibrated(turns=0.0)
     assert not result.separable
     assert result.lever_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
     assert result.base_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
 
 
 def test_a_few_degrees_are_no_turn() -> None:
-    assert not known(calibrate_horizontal(pairs(turns=0.01))).separable
+    assert not calibrated(turns=0.01).separable
 
 
 def test_a_third_of_wrong_fixes_does_not_pull_it() -> None:
-    result = known(calibrate_horizontal(pairs(wrong=0.33)))
+    result = calibrated(wrong=0.33)
     assert result.lever_m == pytest.approx(LEVER_M, abs=0.04)
     assert result.base_m == pytest.approx(BASE_M, abs=0.04)
 
 
 def test_differences_without_noise_are_explained_to_the_micrometre() -> None:
-    result = known(calibrate_horizontal(pairs(noise_m=0.0, wrong=0.0)))
+    result = calibrated(noise_m=0.0, wrong=0.0)
     assert np.concatenate((result.lever_m - LEVER_M, result.base_m - BASE_M)) == pytest.approx(0.0, abs=1e-6)
     assert result.used == 1.0
 
 
 @pytest.mark.parametrize("seconds", [0.0, (LEAST_FIXES - 1) / RATE_HZ, 29.0])
-def test_of_too_few_pairs_or_of_too_short_a_time_nothing_is_told(seconds: float) -> None:
+def test_of_too_few_pairs_or_of_too_short_a_time_nothing_is_estimated(seconds: float) -> None:
     assert calibrate_horizontal(pairs(seconds=seconds)) is None
 
 
