@@ -101,7 +101,7 @@ def judge(wakes: list[Wake]) -> list[Message]:
     settings = IntegritySettings(vehicle="ego", clock="replay", upload=False)
     service = IntegrityService(settings, bus)  # type: ignore[arg-type]
     handlers = service.handlers()
-    inboxes = {name: Inbox(BY_NAME[name]) for name in handlers}
+    inboxes = {name: Inbox(channel=BY_NAME[name]) for name in handlers}
     encodings = {name: encoding_of(BY_NAME[name].message) for name in handlers}
     for time_ns, messages in wakes:
         bus.now = time_ns

@@ -63,7 +63,7 @@ def malformed(
 
 
 def _check(channel: Channel, kind: str, payload: bytes, encoding: str, now_ns: int) -> None:
-    inbox = Inbox(channel)
+    inbox = Inbox(channel=channel)
     received = inbox.open(payload, encoding)
     taken = received is not None and (channel.reply is not None or inbox.accept(received, now_ns) is not None)
     assert not taken, f"{kind} on {channel.name}: it is none"

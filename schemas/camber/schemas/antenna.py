@@ -12,7 +12,7 @@ HeightMethod = Literal["fixed", "stroke", "ranging", "scan_matching"]
 
 
 class HeightByMethod(Model):
-    """What one way says."""
+    """The height by one method."""
 
     way: HeightMethod
     height_m: Annotated[float, Field(ge=-1.0, le=100.0)]

@@ -46,7 +46,7 @@ class DecodeError(ValueError):
     """These bytes are not the message they claim to be."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Received(Generic[M]):
     """A message with the envelope it came in."""
 
@@ -108,7 +108,7 @@ def decode(cls: type[M], data: bytes, encoding: str | None = None) -> Received[M
         raise DecodeError(f"expected encoding {encoding_of(cls)}, got {str(encoding)[:80]!r}")
     try:
         source, sequence, fields = _open(data, encoding_of(cls)[len(_PREFIX) :])
-        return Received(cls.model_validate(fields), source, sequence)
+        return Received(message=cls.model_validate(fields), source=source, sequence=sequence)
     except DecodeError:
         raise
     except ValidationError as error:

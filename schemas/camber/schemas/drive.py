@@ -200,7 +200,7 @@ _SENSORS = {
     "scan_matching": "a table sweeps",
     "automatic": "a table ranging or a table sweeps",
 }
-"""What a way measures with."""
+"""What a method measures with."""
 
 
 class InitialPose(Model):
@@ -352,7 +352,7 @@ class DriveManifest(Model):
 
     def _problems(self) -> list[str]:
         inputs = frozenset(self.surrogates.inputs)
-        way = self.antenna_height.way
+        method = self.antenna_height.way
         roads_without_height = (
             self.surrogates.antenna_height_m is None and self.antenna_height.height_m is None
         )
@@ -376,13 +376,13 @@ class DriveManifest(Model):
             "initial_pose is given, expected no initial_pose in surrogates.inputs": (
                 "initial_pose" in inputs and self.initial_pose is not None
             ),
-            "antenna_height.way is 'stroke', expected a table suspension": way == "stroke"
+            "antenna_height.way is 'stroke', expected a table suspension": method == "stroke"
             and self.suspension is None,
-            f"antenna_height.way is {way!r}, expected lever_arms.antenna with its z_m": (
-                way in _SENSORS and "antenna" not in self.lever_arms.with_given_height
+            f"antenna_height.way is {method!r}, expected lever_arms.antenna with its z_m": (
+                method in _SENSORS and "antenna" not in self.lever_arms.with_given_height
             ),
-            f"antenna_height.way is {way!r}, expected {_SENSORS.get(way)}, each with its lever arm and z_m": (
-                way in _SENSORS and not self._has_sensor(way)
+            f"antenna_height.way is {method!r}, expected {_SENSORS.get(method)}, each with its lever arm and z_m": (
+                method in _SENSORS and not self._has_sensor(method)
             ),
             "surrogates.antenna_height_m is missing, expected it where antenna_height has no height_m": (
                 "road_surfaces" in inputs and roads_without_height
@@ -396,11 +396,11 @@ class DriveManifest(Model):
         }
         return [text for text, failed in tests.items() if failed]
 
-    def _has_sensor(self, way: str) -> bool:
+    def _has_sensor(self, method: str) -> bool:
         """Return whether a sensor for this method is configured; sweeps show the road near the vehicle, too."""
         given = self.lever_arms.with_given_height
         sweeps = self.sweeps is not None and "lidar" in given
-        return sweeps or (way != "scan_matching" and self.ranging is not None and "ranging" in given)
+        return sweeps or (method != "scan_matching" and self.ranging is not None and "ranging" in given)
 
     @property
     def judged_positions(self) -> Literal["receiver", "engine"]:

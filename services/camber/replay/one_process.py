@@ -157,7 +157,7 @@ class _Vehicle:
                     arrival_ns=message.time_ns,
                 )
             )
-        received = Received(message, source, sequence)
+        received = Received(message=message, source=source, sequence=sequence)
         for consumer in BY_NAME[name].consumers:
             running = self._running.get(consumer)
             if running is not None and name in running.handlers:
@@ -199,7 +199,7 @@ class _Vehicle:
             service=service,
             handlers=handlers,
             answers=service.answers(),
-            inboxes={c.name: Inbox(c) for c in inputs_of(name) if c.name in handlers},
+            inboxes={c.name: Inbox(channel=c) for c in inputs_of(name) if c.name in handlers},
         )
 
     def _restart(self, time_ns: int) -> None:

@@ -86,8 +86,8 @@ def _can_be_read(channel: Channel, item: Arrived) -> bool:
     return True
 
 
-@dataclass(slots=True)
-class _Port:
+@dataclass(slots=True, kw_only=True)
+class _InputQueue:
     """One subscribed channel: its bounded queue and how many were pushed out of it.
 
     For each item that waits there is one event: what puts in and what takes out must not come between one another.
@@ -119,7 +119,7 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._queriers: dict[str, zenoh.Querier] = {}
         self._entities: list[Any] = []
-        self._ports: dict[str, _Port] = {}
+        self._ports: dict[str, _InputQueue] = {}
         self._queries: dict[str, deque[zenoh.Query]] = {}
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._logged: dict[str, float] = {}
@@ -259,7 +259,7 @@ class Bus:
         """
         limit = _QUEUE_LIMIT["barrier" if self.LOSSLESS else channel.delivery]
         name = channel.name if of is None else f"{channel.name}.{of}"
-        port = self._ports[name] = _Port(channel, deque(maxlen=limit))
+        port = self._ports[name] = _InputQueue(channel=channel, items=deque(maxlen=limit))
         self._ledger.declare("in", name)
         events, items = self._events, port.items
 

@@ -15,7 +15,7 @@ _SOURCES = 64  # whose last message is remembered: a peer that invents names mus
 _NS = 1_000_000_000  # nanoseconds of a second
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Inbox:
     """Judges the messages of one channel; `refused` counts those that were not handed out, by reason.
 

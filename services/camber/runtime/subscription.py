@@ -41,7 +41,7 @@ class Subscription:
         live: bool = True,
         zenoh: ZenohSettings | None = None,
     ) -> None:
-        self._inboxes = {name: Inbox(BY_NAME[name]) for name in names}
+        self._inboxes = {name: Inbox(channel=BY_NAME[name]) for name in names}
         self._live = live
         self._clock = SystemClock()
         self._waiting: queue.Queue[Sample] = queue.Queue(_LIMIT)

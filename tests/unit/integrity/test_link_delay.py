@@ -62,7 +62,7 @@ def judged(
     bus, random = LateBus(), Random(5)
     service = IntegrityService(IntegritySettings(upload=False, link_delay_s=setting_s), bus)  # type: ignore[arg-type]
     handlers = service.handlers()
-    inboxes = {name: Inbox(BY_NAME[name]) for name in handlers}
+    inboxes = {name: Inbox(channel=BY_NAME[name]) for name in handlers}
     first_ns = min(message.time_ns for _, _, message in messages)
     events: list[tuple[int, int, str, Any]] = []
     for number, (at_s, name, message) in enumerate(messages):
@@ -76,7 +76,9 @@ def judged(
             _, number, name, message = heapq.heappop(events)
             if name not in handlers:
                 continue
-            accepted = inboxes[name].accept(Received(message, name, number), bus.now_ns())
+            accepted = inboxes[name].accept(
+                Received(message=message, source=name, sequence=number), bus.now_ns()
+            )
             if accepted is not None:
                 handlers[name](accepted)
         else:

@@ -97,13 +97,13 @@ def test_more_counters_than_health_can_carry_are_counted_together() -> None:
     assert sum(counters.values()) == 10_000
 
 
-def test_the_inboxes_own_counters_find_room() -> None:
+def test_the_counters_of_the_inbox_find_room() -> None:
     bus = make_bus()
     for n in range(5000):
         bus.count(f"counter.{n}")
     loop = Loop(Plain(ServiceSettings(), bus), bus, SystemClock())
     for name in BY_NAME:
-        inbox = Inbox(BY_NAME[name])
+        inbox = Inbox(channel=BY_NAME[name])
         inbox.refused.update(["stale", "future"])
         loop.refused(inbox)
     assert loop.health().counters["fix.stale"] == 1
@@ -131,7 +131,7 @@ def test_a_machine_without_the_right_time_still_answers(monkeypatch: pytest.Monk
     assert health_of(make_bus()).status == "ok"
 
 
-def test_status_is_the_services_own_word_and_a_fault_is_failing() -> None:
+def test_status_is_set_by_the_service_and_a_fault_is_failing() -> None:
     assert health_of(make_bus(), state=True).status == "ok"
     assert health_of(make_bus(), state=False).status == "degraded"
     failed = health_of(make_bus(), state=RuntimeError("boom"))
@@ -198,10 +198,10 @@ class Subscribing:
     """A session that hands over what is declared to it."""
 
     def __init__(self) -> None:
-        self.hear: Any = None
+        self.receive: Any = None
 
     def declare_subscriber(self, key: str, handler: Any) -> object:
-        self.hear = handler.callback
+        self.receive = handler.callback
         return object()
 
 
@@ -218,10 +218,10 @@ def test_of_what_is_large_the_newest_that_can_be_read_waits(size: int) -> None:
     sweeps = [encode(build(Sweep, Random(n), filled=True)) for n in range(2)]
     encoding = encoding_of(Sweep)
     for sweep in sweeps:
-        session.hear(arriving(sweep, encoding))
-        session.hear(arriving(bytes(size), encoding))
-        session.hear(arriving(sweep[:-5], encoding))
-        session.hear(arriving(sweep, "text/plain"))
+        session.receive(arriving(sweep, encoding))
+        session.receive(arriving(bytes(size), encoding))
+        session.receive(arriving(sweep[:-5], encoding))
+        session.receive(arriving(sweep, "text/plain"))
     item = bus.pop("sweep")
     assert item is not None
     assert item.data == sweeps[1]
@@ -238,7 +238,7 @@ def test_of_what_is_large_one_that_comes_while_the_last_is_taken_is_handed_out_t
     bus.subscribe(channel)
     monkeypatch.setattr(module, "_can_be_read", lambda *_: bus.pop("sweep") is not None)
     for number in (b"1", b"2", b"3"):
-        session.hear(arriving(number, encoding_of(Sweep)))
+        session.receive(arriving(number, encoding_of(Sweep)))
     waiting = 0
     while bus.next_event(0.0) is not None:
         waiting += 1

@@ -1,4 +1,4 @@
-"""Who is on the bus before its router finds it when it comes; who asks with a limit is told that nobody is there."""
+"""Who is on the bus before its router joins it later; who asks with a limit gets an error that nobody is there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_a_peer_that_is_there_before_its_router_finds_it() -> None:
             assert result == [router.info.zid()]
 
 
-def test_a_router_that_went_away_is_found_again() -> None:
+def test_a_router_that_went_away_is_rejoined() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = ZenohSettings(mode="router", connect=[], listen=[endpoint])
     with open_session(ZenohSettings(connect=[endpoint])) as peer:

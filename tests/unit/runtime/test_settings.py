@@ -26,7 +26,7 @@ class Sample(ServiceSettings):
     """Settings to try."""
 
     SERVICE: ClassVar[str] = "sample"
-    width_m: float = Field(2.0, gt=0.0, description="a width,\nsaid in two lines")
+    width_m: float = Field(2.0, gt=0.0, description="a width,\ngiven in two lines")
     enabled: bool = True
     folder: Path | None = None
     inner: Inner = Field(default_factory=Inner)
@@ -54,9 +54,9 @@ def complaint(cls: type[ServiceSettings], argv: list[str], capsys: pytest.Captur
     with pytest.raises(SystemExit) as ended:
         load_or_exit(cls, argv, prog="camber sample")
     assert ended.value.code == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    (line,) = said.err.splitlines()
+    message = capsys.readouterr()
+    assert message.out == ""
+    (line,) = message.err.splitlines()
     return line.removeprefix("camber sample: ")
 
 
@@ -142,27 +142,27 @@ def test_an_unknown_nested_variable_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("CAMBER_SAMPLE_INNER__LENGHT_M", "3.0")
-    said = "environment: CAMBER_SAMPLE_INNER__LENGHT_M: inner.lenght_m: unknown setting"
-    assert complaint(Sample, [], capsys) == said
+    message = "environment: CAMBER_SAMPLE_INNER__LENGHT_M: inner.lenght_m: unknown setting"
+    assert complaint(Sample, [], capsys) == message
 
 
 def test_a_unit_in_a_value_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     argv = toml(tmp_path, "width_m = '20 cm'")
-    said = complaint(Sample, argv, capsys)
-    assert said.startswith(f"{argv[1]}: width_m: ")
-    assert "valid number" in said
-    assert said.endswith("(got '20 cm')")
+    message = complaint(Sample, argv, capsys)
+    assert message.startswith(f"{argv[1]}: width_m: ")
+    assert "valid number" in message
+    assert message.endswith("(got '20 cm')")
 
 
 def test_a_value_out_of_range_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = complaint(Sample, ["--inner.length-m", "-1"], capsys)
-    assert said.startswith("inner.length_m: ")
+    message = complaint(Sample, ["--inner.length-m", "-1"], capsys)
+    assert message.startswith("inner.length_m: ")
     argv = toml(tmp_path, "width_m = 3.0")
-    said = complaint(Sample, [*argv, "--width-m=-1"], capsys)
-    assert said.startswith("width_m: ")
-    assert said.endswith("(got '-1')")
+    message = complaint(Sample, [*argv, "--width-m=-1"], capsys)
+    assert message.startswith("width_m: ")
+    assert message.endswith("(got '-1')")
 
 
 @pytest.mark.parametrize(
@@ -195,9 +195,9 @@ def test_a_file_that_cannot_be_read_is_named(
     path = tmp_path / "camber.toml"
     if content is not None:
         path.write_bytes(content)
-    said = complaint(Sample, ["--config", str(path)], capsys)
-    assert said.startswith(f"{path}: ")
-    assert expected in said
+    message = complaint(Sample, ["--config", str(path)], capsys)
+    assert message.startswith(f"{path}: ")
+    assert expected in message
 
 
 def test_a_folder_is_no_file_of_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,14 +209,14 @@ def test_a_list_that_is_not_json_is_named(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv(name, "[tcp/a:1")
-    said = complaint(Sample, [], capsys)
-    assert said.startswith("environment: zenoh: expected JSON for a list or a table")
+    message = complaint(Sample, [], capsys)
+    assert message.startswith("environment: zenoh: expected JSON for a list or a table")
 
 
 def test_a_list_on_the_command_line_that_is_not_one_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    said = complaint(Sample, ["--zenoh.connect", "[1"], capsys)
-    assert said.startswith("command line: ")
-    assert "zenoh.connect" in said
+    message = complaint(Sample, ["--zenoh.connect", "[1"], capsys)
+    assert message.startswith("command line: ")
+    assert "zenoh.connect" in message
 
 
 @pytest.mark.parametrize("vehicle", ["", "a/b", "*", "a b", "v" * 65])
@@ -254,7 +254,7 @@ def test_print_config_gives_toml_that_is_read_as_the_same_settings(
     assert ended.value.code == 0
     text = capsys.readouterr().out
     assert read(Sample, toml(tmp_path, text)) == before
-    assert "width_m = 0.1  # a width, said in two lines" in text
+    assert "width_m = 0.1  # a width, given in two lines" in text
 
 
 def test_a_date_and_an_infinity_survive_being_printed(tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_every_services_settings_survive_being_printed(service: str, tmp_path: P
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_every_services_setting_is_described_and_its_environment_is_its_own(service: str) -> None:
+def test_every_services_setting_is_described_and_its_environment_is_not_shared(service: str) -> None:
     cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
     assert service == cls.SERVICE
     plain = [name for name, info in cls.model_fields.items() if not info.description and name != "zenoh"]
@@ -290,9 +290,9 @@ def test_help_lists_every_setting_of_a_service(capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as ended:
         load_or_exit(GnssSettings, ["--help"], prog="camber gnss")
     assert ended.value.code == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     for name in GnssSettings.model_fields:
-        assert f"--{name.replace('_', '-')}" in said
+        assert f"--{name.replace('_', '-')}" in message
 
 
 def test_load_raises_what_load_or_exit_says() -> None:
@@ -347,9 +347,11 @@ def test_a_secret_that_is_not_set_looks_like_any_other_setting() -> None:
 def test_a_secret_on_the_command_line_is_refused_and_its_variable_named(
     argv: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = complaint(Locked, argv, capsys)
-    assert said.endswith("not on the command line, which everyone can see; set CAMBER_LOCKED_CASTER_PASSWORD")
-    assert "geheim" not in said
+    message = complaint(Locked, argv, capsys)
+    assert message.endswith(
+        "not on the command line, which everyone can see; set CAMBER_LOCKED_CASTER_PASSWORD"
+    )
+    assert "geheim" not in message
 
 
 @pytest.mark.parametrize("value", ["1234567", "['geheim', 'geheim']", "{a = 'geheim'}"])
@@ -357,15 +359,15 @@ def test_a_secret_of_a_wrong_kind_is_named_and_not_repeated(
     value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     argv = toml(tmp_path, f"caster_password = {value}")
-    said = complaint(Locked, argv, capsys)
-    assert said.startswith(f"{argv[1]}: caster_password: ")
-    assert "geheim" not in said
-    assert "1234567" not in said
+    message = complaint(Locked, argv, capsys)
+    assert message.startswith(f"{argv[1]}: caster_password: ")
+    assert "geheim" not in message
+    assert "1234567" not in message
 
 
 def test_the_casters_password_of_gnss_is_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    said = complaint(GnssSettings, ["--ntrip-password", "geheim"], capsys)
-    assert "CAMBER_GNSS_NTRIP_PASSWORD" in said
+    message = complaint(GnssSettings, ["--ntrip-password", "geheim"], capsys)
+    assert "CAMBER_GNSS_NTRIP_PASSWORD" in message
 
 
 @pytest.mark.parametrize("source", ["ntrip://driver:geheim@host:2101/BASE", "tcp:driver:geheim@host:2101"])
@@ -378,8 +380,8 @@ def test_a_password_in_an_address_is_refused_and_not_repeated(
 
 def test_a_failure_rate_is_one_that_the_table_has(capsys: pytest.CaptureFixture[str]) -> None:
     assert read(GnssSettings, ["--engine.failure-rate", "0.001"]).engine.failure_rate == 0.001
-    said = complaint(GnssSettings, ["--engine.failure-rate", "0.0001"], capsys)
-    assert said == "engine.failure_rate: 0.0001: expected 0 or from 0.001 to 0.01"
+    message = complaint(GnssSettings, ["--engine.failure-rate", "0.0001"], capsys)
+    assert message == "engine.failure_rate: 0.0001: expected 0 or from 0.001 to 0.01"
 
 
 def test_unknown_bands_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.runtime import access_probe as heard
-from camber.runtime import router
+from camber.runtime import access_probe, router
 from camber.runtime.session import BusError, open_session, router_endpoints
 from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, to_toml
 from camber.runtime.tls import TlsError, certificate_name, check_table, ends_soon, name_of, tls_table
@@ -116,21 +115,21 @@ def test_a_file_that_is_missing_or_damaged_is_named(
         ("theirs/ca.pem", "car-1.pem", "car-1.key", "car-1.pem: not signed by "),
     ],
 )
-def test_a_certificate_that_will_not_be_taken_is_said_before_it_is_tried(
+def test_a_certificate_that_will_not_be_taken_is_reported_before_it_is_tried(
     folder: Path, ca: str, certificate: str, key: str, why: str
 ) -> None:
     with pytest.raises(TlsError, match=why):
         check_table(tls_table(folder.parent / ca, folder / certificate, folder / key))
 
 
-def test_a_router_listens_on_the_loopback_unless_it_is_told_otherwise(tmp_path: Path) -> None:
-    empty, told = tmp_path / "empty.json5", tmp_path / "told.json5"
+def test_a_router_listens_on_the_loopback_unless_it_is_configured_otherwise(tmp_path: Path) -> None:
+    empty, configured = tmp_path / "empty.json5", tmp_path / "configured.json5"
     empty.write_text("{}")
-    told.write_text('{mode: "router", listen: {endpoints: ["tcp/127.0.0.2:1"]}}')
+    configured.write_text('{mode: "router", listen: {endpoints: ["tcp/127.0.0.2:1"]}}')
     assert router_endpoints(None)[0] == ["tcp/127.0.0.1:7447"]
     assert router_endpoints(empty)[0] == ["tcp/127.0.0.1:7447"]
-    assert router_endpoints(told)[0] == ["tcp/127.0.0.2:1"]
-    assert router_endpoints(told, listen=["tcp/127.0.0.3:1"])[0] == ["tcp/127.0.0.3:1"]
+    assert router_endpoints(configured)[0] == ["tcp/127.0.0.2:1"]
+    assert router_endpoints(configured, listen=["tcp/127.0.0.3:1"])[0] == ["tcp/127.0.0.3:1"]
 
 
 @pytest.mark.parametrize("mode", ["client", "router"])
@@ -156,17 +155,17 @@ def test_a_vehicles_router_with_rules_takes_no_link_that_they_would_count_as_wit
         router_endpoints(file, connect=[endpoint])
 
 
-def test_what_ends_within_two_weeks_is_said(folder: Path) -> None:
+def test_what_ends_within_two_weeks_is_reported(folder: Path) -> None:
     table, now = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "none"), datetime.now(UTC)
     assert ends_soon(table, now) == []
-    (said,) = ends_soon(table, now + timedelta(days=7))
-    assert said.startswith(f"{folder / 'car-1.pem'}: until ")
+    (message,) = ends_soon(table, now + timedelta(days=7))
+    assert message.startswith(f"{folder / 'car-1.pem'}: until ")
     assert len(ends_soon(table, now + timedelta(days=25))) == 2
     (folder / "car-1.pem").unlink()
     assert len(ends_soon(table, now + timedelta(days=25))) == 1
 
 
-def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_service_is_alerted_whenever_it_is_denied_again(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter(["permitted", "denied", "permitted", "denied"])
 
     def ask(*_: object, **__: object) -> str:
@@ -175,30 +174,35 @@ def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.Monk
         threading.Event().wait()  # it asks for ever, and this is enough
         return ""
 
-    monkeypatch.setattr(heard, "can_publish", ask)
-    monkeypatch.setattr(heard, "denial_message", lambda *_: "denied")
-    told: list[str] = []
-    watch = heard.AccessProbe(ZenohSettings(), "fleet", again_s=0.01)
+    monkeypatch.setattr(access_probe, "can_publish", ask)
+    monkeypatch.setattr(access_probe, "denial_message", lambda *_: "denied")
+    problems: list[str] = []
+    watch = access_probe.AccessProbe(ZenohSettings(), "fleet", again_s=0.01)
     deadline = time.monotonic() + 5.0
-    while len(told) < 2 and time.monotonic() < deadline:
-        told += watch.problems()
+    while len(problems) < 2 and time.monotonic() < deadline:
+        problems += watch.problems()
         time.sleep(0.01)
-    assert told == ["denied", "denied"]
+    assert problems == ["denied", "denied"]
 
 
 def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lists: dict[str, tuple[str, heard.Access]] = {"tls/a:1": ("A", "permitted"), "tls/b:1": ("B", "denied")}
+    lists: dict[str, tuple[str, access_probe.Access]] = {
+        "tls/a:1": ("A", "permitted"),
+        "tls/b:1": ("B", "denied"),
+    }
 
-    def ask(settings: ZenohSettings, name: str, *, timeout_s: float, at: frozenset[str]) -> heard.Access:
+    def ask(
+        settings: ZenohSettings, name: str, *, timeout_s: float, at: frozenset[str]
+    ) -> access_probe.Access:
         (endpoint,) = settings.connect
         zid, answer = lists[endpoint]
         if at and zid not in at:
             raise BusError(f"{endpoint}: another")
         return answer
 
-    monkeypatch.setattr(heard, "can_publish", ask)
+    monkeypatch.setattr(access_probe, "can_publish", ask)
     settings = ZenohSettings(
         mode="client",
         connect=list(lists),
@@ -246,7 +250,7 @@ def test_a_link_that_goes_to_another_router_is_asked_about_anew(
 
     def ask(_: ZenohSettings, __: str | None, linked: frozenset[str]) -> tuple[str, str]:
         asked.append(linked)
-        return f"heard at {min(linked)}", min(linked)
+        return f"accepted at {min(linked)}", min(linked)
 
     monkeypatch.setattr(router.zenoh, "Session", Session)
     monkeypatch.setattr(router, "_access_status", ask)
@@ -255,16 +259,19 @@ def test_a_link_that_goes_to_another_router_is_asked_about_anew(
     with pytest.raises(EndError):
         router._watch([Session()], ["tls/a:1"], table, [], begin_anew=pytest.fail)
     assert asked == [{"A"}, {"B"}]
-    assert capsys.readouterr().err.splitlines() == ["camber router: heard at A", "camber router: heard at B"]
+    assert capsys.readouterr().err.splitlines() == [
+        "camber router: accepted at A",
+        "camber router: accepted at B",
+    ]
 
 
 def test_a_vehicles_name_is_that_of_its_rules() -> None:
     def rules(*names: str) -> list[dict[str, object]]:
         return [{"key_exprs": [f"camber/v1/{name}/echo", "camber/v1/y/x/verdict"]} for name in names]
 
-    assert heard.name_in(rules("car-9", "car-9")) == "car-9"
-    assert heard.name_in(rules("car-1", "car-2")) is None
-    assert heard.name_in(rules("*")) is None
+    assert access_probe.name_in(rules("car-9", "car-9")) == "car-9"
+    assert access_probe.name_in(rules("car-1", "car-2")) is None
+    assert access_probe.name_in(rules("*")) is None
 
 
 @pytest.mark.parametrize(

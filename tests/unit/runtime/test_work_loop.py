@@ -51,9 +51,7 @@ def service() -> Any:
     assert not thread.is_alive()
 
 
-def test_bytes_at_a_port_of_its_own_are_worked_on_at_once_not_at_the_end_of_the_period(
-    service: Ports,
-) -> None:
+def test_bytes_at_a_separate_port_are_worked_on_at_once_not_at_the_end_of_the_period(service: Ports) -> None:
     for _ in range(5):  # five periods would be longer than we wait
         service.bus.wake()
         assert service.advanced.acquire(timeout=PATIENCE_S / 5.0)
@@ -102,7 +100,7 @@ sys.exit(run(Slow, ["--zenoh.connect", "[]", "--log-level", "error", *sys.argv[1
 """
 
 
-def test_a_service_ends_when_it_is_told_to_also_in_the_midst_of_long_work() -> None:
+def test_a_service_ends_on_request_also_in_the_midst_of_long_work() -> None:
     with subprocess.Popen([sys.executable, "-c", NEVER_ENDING], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"begins\n"
@@ -120,20 +118,20 @@ def test_a_service_that_cannot_close_leaves_the_bus_and_says_so() -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == b"begins\n"
         process.terminate()
-        _, said = process.communicate(timeout=PATIENCE_S)
+        _, message = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 70
-        assert b"a disk that is gone" in said
+        assert b"a disk that is gone" in message
 
 
 def test_a_service_that_finds_no_router_says_so() -> None:
     nowhere = f'["tcp/127.0.0.1:{free_port()}"]'
-    words = ["--zenoh.connect", nowhere, "--zenoh.mode", "client", "--log-level", "warning"]
-    with subprocess.Popen([sys.executable, "-c", NEVER_ENDING, *words], stderr=subprocess.PIPE) as process:
+    texts = ["--zenoh.connect", nowhere, "--zenoh.mode", "client", "--log-level", "warning"]
+    with subprocess.Popen([sys.executable, "-c", NEVER_ENDING, *texts], stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
-        said = process.stderr.readline().decode()
+        message = process.stderr.readline().decode()
         process.kill()
-    assert "waits_for_the_bus" in said
-    assert nowhere.strip('[]"') in said
+    assert "waits_for_the_bus" in message
+    assert nowhere.strip('[]"') in message
 
 
 def test_where_a_round_takes_longer_than_its_period_what_has_come_does_not_pile_up(

@@ -41,7 +41,7 @@ def test_what_is_judged_by_age_says_which(channel: Channel) -> None:
         assert channel.max_age_s >= 1 / channel.rate_hz
 
 
-def test_within_an_epoch_data_flow_one_way_but_for_the_loops() -> None:
+def test_within_an_epoch_data_flow_forward_but_for_the_loops() -> None:
     order = {service: place for place, service in enumerate(SERVICES)}
     for channel in CHANNELS:
         if channel.delivery in ("small", "bulk") and channel.key.startswith("camber/v1/{vehicle}/"):

@@ -147,7 +147,7 @@ def test_a_fault_is_one_line_with_the_field_and_what_was_expected(
     assert expected in refusal(folder, overrides=overrides)
 
 
-def test_the_line_names_the_file_and_whether_the_command_line_said_it(folder: Path) -> None:
+def test_the_line_names_the_file_and_whether_the_command_line_set_it(folder: Path) -> None:
     assert refusal(folder, TEXT.replace("sigma_m = 0.02", "sigma_m = -1.0")).startswith(
         f"{folder / 'drive.toml'}: antenna_height.sigma_m is '-1.0'"
     )
@@ -155,7 +155,7 @@ def test_the_line_names_the_file_and_whether_the_command_line_said_it(folder: Pa
 
 
 @pytest.mark.parametrize(
-    ("way", "sensor", "arm"),
+    ("method", "sensor", "arm"),
     [
         ("ranging", "ranging.file=rover.pos", "ranging"),
         ("ranging", "sweeps.folder=data", "lidar"),
@@ -164,12 +164,12 @@ def test_the_line_names_the_file_and_whether_the_command_line_said_it(folder: Pa
         ("automatic", "sweeps.folder=data", "lidar"),
     ],
 )
-def test_a_way_is_taken_where_its_sensor_and_the_places_are_said(
-    folder: Path, way: str, sensor: str, arm: str
+def test_a_height_method_is_accepted_with_its_sensor_and_lever_arms(
+    folder: Path, method: str, sensor: str, arm: str
 ) -> None:
     places = f"lever_arms={{antenna={{z_m=1.6}}, {arm}={{x_m=1.0, z_m=0.9}}}}"
-    manifest = load(folder, overrides=[f"antenna_height.way={way}", sensor, places])
-    assert manifest.antenna_height.way == way
+    manifest = load(folder, overrides=[f"antenna_height.way={method}", sensor, places])
+    assert manifest.antenna_height.way == method
     assert set(manifest.lever_arms.with_given_height) == {"antenna", arm}
 
 
@@ -193,7 +193,7 @@ def test_surrogates_need_a_truth(folder: Path) -> None:
     assert "expected a table truth" in refusal(folder, without)
 
 
-def test_an_unset_folder_of_recordings_is_said_plainly(folder: Path) -> None:
+def test_an_unset_folder_of_recordings_is_named(folder: Path) -> None:
     load(folder)
     with pytest.raises(ManifestError, match=r"truth\.file .*CAMBER_DATA is not set"):
         load_manifest(folder / "drive.toml", environ={})

@@ -36,12 +36,12 @@ def test_arrays_that_go_together_are_accepted() -> None:
     assert len(lines(line=none, first=np.zeros(1, "<i4"), point_m=np.zeros((0, 2)), weight=None).line) == 0
 
 
-def test_optional_arrays_are_found() -> None:
+def test_optional_arrays_are_listed() -> None:
     assert [name for name, _ in arrays_of(Lines)] == ["line", "first", "point_m", "weight"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"weight": np.ones(2)}, "weight has 2 rows where point_m has 3 points"),
         ({"line": np.array([4], "<i4")}, "first has 3 rows where line has 1 lines"),
@@ -61,8 +61,8 @@ def test_optional_arrays_are_found() -> None:
         ({"weight": np.ma.masked_array(np.ones(3), [0, 1, 0])}, "expected an array of <f8"),
     ],
 )
-def test_arrays_that_do_not_are_refused_with_what_was_expected(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValidationError, match=said):
+def test_arrays_that_do_not_are_refused_with_what_was_expected(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
         lines(**changes)
 
 

@@ -87,7 +87,7 @@ def test_every_truncation_is_refused(cls: type[Message]) -> None:
 
 
 @every_message
-def test_bytes_behind_the_end_are_refused(cls: type[Message]) -> None:
+def test_bytes_after_the_end_are_refused(cls: type[Message]) -> None:
     with pytest.raises(DecodeError, match="behind the last array"):
         decode(cls, encode(filled(cls)) + b"\0")
 

@@ -16,18 +16,18 @@ _REMEMBERED = 1024  # ids; minutes at any rate of a receiver
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Arrival:
+class FixArrival:
     """A fix, and the time of the newest solution before it, of whatever quality."""
 
     fix: Fix
     previous_ns: int | None
 
 
-def _is_ahead(arrival: Arrival, now_ns: int, rules: Rules) -> bool:
+def _is_ahead(arrival: FixArrival, now_ns: int, rules: Rules) -> bool:
     return age_s(arrival.fix.time_ns, now_ns) < -rules.future_limit_s
 
 
-def _has_no_valid_claim(arrival: Arrival, now_ns: int, rules: Rules) -> bool:
+def _has_no_valid_claim(arrival: FixArrival, now_ns: int, rules: Rules) -> bool:
     fix = arrival.fix
     position = (fix.latitude_rad, fix.longitude_rad, fix.height_m)
     if fix.covariance_enu_m2 is None or not all(map(math.isfinite, position)):
@@ -35,7 +35,7 @@ def _has_no_valid_claim(arrival: Arrival, now_ns: int, rules: Rules) -> bool:
     return not claimed_sigma_m(fix.covariance_enu_m2) <= rules.fix_sigma_limit_m
 
 
-_ROWS: tuple[tuple[Reason, str, Callable[[Arrival, int, Rules], bool]], ...] = (
+_ROWS: tuple[tuple[Reason, str, Callable[[FixArrival, int, Rules], bool]], ...] = (
     ("fix_implausible", "dated more than 0.5 s ahead of the clock", _is_ahead),
     (
         "gnss_stale",
@@ -59,7 +59,7 @@ _ROWS: tuple[tuple[Reason, str, Callable[[Arrival, int, Rules], bool]], ...] = (
         _has_no_valid_claim,
     ),
 )
-ARRIVAL_CHECKS: tuple[Check[Arrival], ...] = tuple(
+ARRIVAL_CHECKS: tuple[Check[FixArrival], ...] = tuple(
     Check(reason=reason, explanation=explanation, applies=applies) for reason, explanation, applies in _ROWS
 )
 
@@ -83,7 +83,7 @@ class FixSequence:
 
     def check_arrival(self, fix: Fix, now_ns: int, rules: Rules) -> Reason | None:
         """Return why a fix cannot be tested; one dated ahead leaves no trace here."""
-        arrival = Arrival(fix=fix, previous_ns=self.last_ns)
+        arrival = FixArrival(fix=fix, previous_ns=self.last_ns)
         if not _is_ahead(arrival, now_ns, rules):
             self.last_ns = max(fix.time_ns, self.last_ns or fix.time_ns)
         return first_reason(ARRIVAL_CHECKS, arrival, now_ns, rules)

@@ -28,7 +28,8 @@ def message(
     sequence: int, tick: int = 0, *, late_ns: int = 0, source: str = "any"
 ) -> Received[HealthRequest]:
     """A message of a tick; the barrier looks only at its time and its number."""
-    return Received(HealthRequest(time_ns=NS + tick * STEP_NS - late_ns), source, sequence)
+    request = HealthRequest(time_ns=NS + tick * STEP_NS - late_ns)
+    return Received(message=request, source=source, sequence=sequence)
 
 
 def tick(

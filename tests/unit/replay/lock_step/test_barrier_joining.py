@@ -25,7 +25,7 @@ def fix(number: int) -> Received[Fix]:
         height_m=40.0,
         covariance_enu_m2=None,
     )
-    return Received(message, "gnss", number)
+    return Received(message=message, source="gnss", sequence=number)
 
 
 def done(service: str, index: int, fixes: int = 0) -> Done:

@@ -1,4 +1,4 @@
-"""Metrics are what the work loop last said, read by Prometheus' own parser; hostile askers do not hold anything up."""
+"""Metrics are what the work loop reported last, read by Prometheus' own parser; hostile clients hold nothing up."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from camber.runtime.clock import SystemClock
 from camber.runtime.health.metrics import HealthCollector, MetricsServer
 from camber.schemas.health import ChannelUse, Health, Issue
 
-OWN = {"service": "integrity", "vehicle": "v7"}
+PROCESS = {"service": "integrity", "vehicle": "v7"}
 
 
-def said(**more: object) -> Health:
+def health(**more: object) -> Health:
     return Health(
         time_ns=SystemClock().now_ns(),
         service="integrity",
@@ -46,13 +46,13 @@ def said(**more: object) -> Health:
 
 
 @pytest.fixture
-def spoken() -> HealthCollector:
+def exposed() -> HealthCollector:
     return HealthCollector("integrity", "v7")
 
 
 @pytest.fixture
-def server(spoken: HealthCollector) -> Iterator[MetricsServer]:
-    server = MetricsServer("127.0.0.1", 0, spoken)
+def server(exposed: HealthCollector) -> Iterator[MetricsServer]:
+    server = MetricsServer("127.0.0.1", 0, exposed)
     yield server
     server.close()
     with pytest.raises(ConnectionRefusedError):
@@ -76,12 +76,12 @@ def samples(server: MetricsServer) -> dict[str, list[Sample]]:
 
 
 def value(result: dict[str, list[Sample]], name: str, **labels: str) -> float:
-    (sample,) = [one for one in result[name] if {**one.labels, **OWN, **labels} == one.labels]
+    (sample,) = [one for one in result[name] if {**one.labels, **PROCESS, **labels} == one.labels]
     return float(sample.value)
 
 
-def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: HealthCollector) -> None:
-    spoken.say(said())
+def test_every_part_of_the_health_is_there(server: MetricsServer, exposed: HealthCollector) -> None:
+    exposed.say(health())
     result = samples(server)
     assert value(result, "camber_status", status="degraded") == 1.0
     assert value(result, "camber_status", status="ok") == 0.0
@@ -101,8 +101,8 @@ def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: Hea
     assert result["process_resident_memory_bytes"][0].value > 1e6
 
 
-def test_both_text_formats_are_served_as_asked(server: MetricsServer, spoken: HealthCollector) -> None:
-    spoken.say(said())
+def test_both_text_formats_are_served_as_asked(server: MetricsServer, exposed: HealthCollector) -> None:
+    exposed.say(health())
     plain, kind = get(server, "text/plain;version=0.0.4")
     assert kind.startswith("text/plain; version=0.0.4")
     text, kind = get(server, "application/openmetrics-text;version=1.0.0,text/plain;q=0.5")
@@ -119,10 +119,10 @@ def test_before_the_loop_has_begun_it_is_starting(server: MetricsServer) -> None
     assert "camber_uptime_seconds" not in result
 
 
-def test_of_a_frozen_loop_the_words_stay_and_their_age_grows(
-    server: MetricsServer, spoken: HealthCollector, monkeypatch: pytest.MonkeyPatch
+def test_of_a_frozen_loop_the_figures_stay_and_their_age_grows(
+    server: MetricsServer, exposed: HealthCollector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spoken.say(said())
+    exposed.say(health())
     before = samples(server)
     monkeypatch.setattr(time, "monotonic", lambda real=time.monotonic: real() + 60.0)
     after = samples(server)
@@ -162,9 +162,9 @@ def raw(server: MetricsServer, data: bytes) -> bytes:
     ],
 )
 def test_what_is_no_question_is_refused_and_the_next_one_answered(
-    server: MetricsServer, spoken: HealthCollector, data: bytes, begin: bytes
+    server: MetricsServer, exposed: HealthCollector, data: bytes, begin: bytes
 ) -> None:
-    spoken.say(said())
+    exposed.say(health())
     answer = raw(server, data)
     assert answer.startswith(begin)
     assert bool(answer) == bool(begin)
@@ -172,9 +172,9 @@ def test_what_is_no_question_is_refused_and_the_next_one_answered(
 
 
 def test_who_asks_slowly_and_in_great_number_is_dropped(
-    server: MetricsServer, spoken: HealthCollector
+    server: MetricsServer, exposed: HealthCollector
 ) -> None:
-    spoken.say(said())
+    exposed.say(health())
     threads = threading.active_count()
     with ExitStack() as held:
         slow = []
@@ -199,7 +199,7 @@ def samples_after(server: MetricsServer, limit_s: float) -> dict[str, list[Sampl
                 raise
 
 
-def test_a_port_that_is_taken_is_said(server: MetricsServer) -> None:
+def test_a_port_that_is_taken_is_reported(server: MetricsServer) -> None:
     with pytest.raises(OSError, match="in use"):
         MetricsServer("127.0.0.1", server.port, HealthCollector("gnss", "v7"))
 

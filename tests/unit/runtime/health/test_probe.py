@@ -113,7 +113,7 @@ def test_nobody_there_is_one_line_and_exit_code_1(tmp_path, capsys, monkeypatch)
     assert capsys.readouterr().out.count("\n") == 1
 
 
-def test_a_clock_that_is_far_behind_asks_all_the_same():
+def test_a_clock_that_lags_far_probes_all_the_same():
     assert decode(HealthRequest, probe.question(-1), probe._ENCODING).message.time_ns == EARLIEST_NS
 
 

@@ -92,7 +92,7 @@ def test_acknowledging_what_is_not_there_changes_nothing(path):
     with opened(path) as outbox:
         outbox.put(*upload(1))
         outbox.acknowledge(["u2", "u3"])
-        outbox.refused("u4", "never heard of it")
+        outbox.refused("u4", "unknown")
         assert outbox.counts() == (1, 0)
 
 
@@ -243,7 +243,7 @@ def test_a_writer_killed_at_any_moment_has_lost_nothing_that_was_put(path):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_damage_is_noticed_set_aside_and_never_changes_an_upload(tmp_path, seed):
+def test_damage_is_noticed_the_file_renamed_and_never_changes_an_upload(tmp_path, seed):
     rng = random.Random(seed)
     path = tmp_path / "outbox.sqlite"
     put = [upload(n, rng.choice((50, 300, 9000))) for n in range(200)]
@@ -305,7 +305,7 @@ def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, 
         assert upload(2) in held(outbox)
 
 
-def test_a_file_that_is_no_database_is_set_aside(path):
+def test_a_file_that_is_no_database_is_renamed(path):
     path.write_bytes(b"not a database" * 1000)
     with opened(path) as outbox:
         outbox.put(*upload(1))
@@ -331,7 +331,7 @@ def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
         assert [u.id for u in held(outbox)][-400:] == [f"u{n}" for n in range(500, 900)]
 
 
-def test_a_swap_cut_off_half_way_is_finished_on_the_next_start(tmp_path, path):
+def test_a_swap_cut_off_in_between_is_finished_on_the_next_start(tmp_path, path):
     fresh = tmp_path / "outbox.sqlite.fresh"
     with opened(fresh) as outbox:
         outbox.put(*upload(1))

@@ -136,7 +136,7 @@ def test_a_transport_that_never_answers_is_given_up_and_its_late_receipt_ignored
     assert late.cancelled()
 
 
-def test_no_more_are_under_way_than_the_window_and_none_twice(outbox, wire):
+def test_no_more_are_in_flight_than_the_window_and_none_twice(outbox, wire):
     put(outbox, *(f"u{n}" for n in range(10)))
     sender = Sender(outbox, wire.send, window=4)
     for now_s in range(5):
@@ -147,7 +147,7 @@ def test_no_more_are_under_way_than_the_window_and_none_twice(outbox, wire):
     assert wire.log == ["u0", "u1", "u2", "u3", "u4"]
 
 
-def test_what_is_put_while_others_are_under_way_is_sent_once(outbox, wire):
+def test_what_is_put_while_others_are_in_flight_is_sent_once(outbox, wire):
     put(outbox, "a", "b", "c")
     sender = Sender(outbox, wire.send, window=10)
     sender.step(0.0)
@@ -161,7 +161,7 @@ class LongestJitter(random.Random):
         return 1.0
 
 
-def test_after_a_failure_one_upload_feels_its_way_and_the_first_receipt_opens_the_window(outbox, wire):
+def test_after_a_failure_one_upload_probes_and_the_first_receipt_opens_the_window(outbox, wire):
     put(outbox, *(f"u{n}" for n in range(10)))
     sender = Sender(outbox, wire.send, window=4, rng=LongestJitter())
     sender.step(0.0)
@@ -369,7 +369,7 @@ def test_the_thread_empties_the_outbox_through_a_bad_transport(outbox):
     assert sending.sender.counts["stored"] + sending.sender.counts["duplicate"] == 300
 
 
-def test_a_fault_in_the_thread_is_told_and_does_not_end_it(outbox, monkeypatch):
+def test_a_fault_in_the_thread_is_reported_and_does_not_end_it(outbox, monkeypatch):
     seen = threading.Event()
     calls = []
 

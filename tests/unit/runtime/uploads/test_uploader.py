@@ -79,7 +79,7 @@ def test_it_is_sent_and_leaves_when_it_is_acknowledged(path):
     assert uploader.problems() == []
 
 
-def test_that_nobody_answers_is_a_problem_told_when_it_grows(path):
+def test_that_nobody_answers_is_a_problem_reported_when_it_grows(path):
     uploader = make(path)
     uploader.put("u1", "upload", message(1))
     wait_for(lambda: uploader.sender.sender.counts["failed"] > 0)
@@ -90,7 +90,7 @@ def test_that_nobody_answers_is_a_problem_told_when_it_grows(path):
     uploader.close()
 
 
-def test_that_no_receipt_comes_for_long_is_told_with_what_to_look_at(path, monkeypatch):
+def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(path, monkeypatch):
     monkeypatch.setattr(module, "_SILENT_S", 0.3)
     server, answers = Server(), threading.Event()
 
@@ -151,7 +151,7 @@ def test_a_disk_that_fails_for_a_while_loses_nothing(path, monkeypatch):
     assert [pending.id for pending in waiting(path)] == ["u1", "u2"]
 
 
-def test_one_that_still_fails_at_the_end_is_told(path, monkeypatch):
+def test_one_that_still_fails_at_the_end_is_reported(path, monkeypatch):
     def full(uploads):
         raise OutboxError("no room left")
 
@@ -182,7 +182,7 @@ def test_an_id_that_is_taken_costs_only_that_upload(path, monkeypatch):
     assert "u1" in text
 
 
-def test_more_than_the_queue_holds_is_dropped_and_told_and_close_still_ends(path, monkeypatch):
+def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(path, monkeypatch):
     monkeypatch.setattr(module, "_QUEUE_LIMIT", 2)
     monkeypatch.setattr(module, "_STORE_LIMIT_S", 0.05)
     release, entered = threading.Event(), threading.Event()
