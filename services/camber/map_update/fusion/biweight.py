@@ -84,8 +84,6 @@ class FusedHeights(NamedTuple):
     standard_error_m: Floats
     degrees: Floats
     """Degrees of freedom of the standard error."""
-    scale_m: Floats
-    """Spread of a vote."""
     voters: Integers
     """Vehicles with a weight."""
     known_voters: Integers
@@ -120,17 +118,6 @@ def estimate_heights(
     )
     _fill_heights(begins, votes, known, vote_sigma_m, heights=heights)
     return heights
-
-
-@compiled_without_gil
-def biweight(values: Floats, weights: Floats, begins: Integers, sigma_m: float) -> tuple[Floats, Floats]:
-    """Return location (groups,) and standard error of groups of values, rows `begins[i]` to `begins[i + 1]`."""
-    n = len(begins) - 1
-    location_m, error_m = np.empty(n), np.empty(n)
-    for i in range(n):
-        first, last = begins[i], begins[i + 1]
-        location_m[i], error_m[i], _, _ = biweight_location(values[first:last], weights[first:last], sigma_m)
-    return location_m, error_m
 
 
 @compiled_without_gil
@@ -287,7 +274,7 @@ def _fill_heights(
             continue
         result = biweight_location(x, w, sigma_m)
         heights.location_m[i], heights.standard_error_m[i] = result.location_m, result.standard_error_m
-        heights.degrees[i], heights.scale_m[i] = result.degrees, result.scale_m
+        heights.degrees[i] = result.degrees
         agree = np.count_nonzero(np.abs(x - result.location_m) * np.sqrt(w) <= 3.0 * sigma_m)
         heights.agreement[i] = agree / len(x)
         if from_day < end_day - _COALITION_DAYS:

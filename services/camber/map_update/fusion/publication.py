@@ -65,31 +65,18 @@ DECISION = np.dtype(
         ("previous_correction_m", "<f8"),
         ("correction_m", "<f8"),
         ("sigma_m", "<f8"),
-        ("p_value", "<f8"),
         ("agreement", "<f8"),
         ("vehicles", "<i8"),
         ("known_vehicles", "<i8"),
         ("votes", "<i8"),
         ("days", "<i8"),
-        ("first_session", "<i8"),
         ("last_session", "<i8"),
-        ("region", "<i8"),
     ]
 )
 """One surface. `decision` and `reason` index DECISIONS and REASONS. `offset_m` is the votes' offset from the reference,
 `correction_m` the correction of the map from now on, `sigma_m` its σ, NaN where it does not change."""
 
-ALARM = np.dtype(
-    [
-        ("region", "<i8"),
-        ("latitude_rad", "<f8"),
-        ("longitude_rad", "<f8"),
-        ("shift_m", "<f8"),
-        ("standard_error_m", "<f8"),
-        ("share", "<f8"),
-        ("surfaces", "<i8"),
-    ]
-)
+ALARM = np.dtype([("region", "<i8"), ("shift_m", "<f8"), ("share", "<f8"), ("surfaces", "<i8")])
 """One region whose surfaces moved alike: by how much, which share of how many; `region` −1: all surfaces together."""
 
 # Chosen on the fleet scenario, seeds 1, 2 and 4 (docs/fusion.md).
@@ -162,9 +149,8 @@ def decide(
     surfaces["offset_m"], surfaces["standard_error_m"] = heights.location_m, error_m
     surfaces["previous_correction_m"] = surfaces["correction_m"] = correction_m
     surfaces["vehicles"], surfaces["known_vehicles"] = heights.voters, heights.known_voters
-    for name in ("agreement", "votes", "days", "first_session", "last_session"):
+    for name in ("agreement", "votes", "days", "last_session"):
         surfaces[name] = getattr(heights, name)
-    surfaces["region"] = neighbourhood.region[row]
     considered = heights.voters > 0
     without_few_m = np.where(
         change_m > 0.0, heights.without_highest_m - correction_m, correction_m - heights.without_lowest_m
@@ -174,8 +160,8 @@ def decide(
         for size_m in (np.abs(change_m), without_few_m)
     )
     z[~considered] = -np.inf
-    surfaces["p_value"] = p_value = upper_tails(z)
-    discovered = benjamini_hochberg(p_value, settings.false_discovery_rate, int(np.count_nonzero(considered)))
+    rate, tests = settings.false_discovery_rate, int(np.count_nonzero(considered))
+    discovered = benjamini_hochberg(upper_tails(z), rate, tests)
 
     enough = (heights.voters >= settings.publish_vehicles) & (heights.days >= settings.publish_days)
     changes = _Changes(
@@ -298,13 +284,9 @@ def _regional_shifts(
     """Return alarms, and which surfaces (n,) are in a region with one; each region, then all surfaces together."""
     row, change_m, enough = changes.row, changes.change_m, changes.enough
     region = neighbourhood.region[row]
-    latitude_rad, longitude_rad = neighbourhood.region_latitude_rad, neighbourhood.region_longitude_rad
-    areas = [(int(k), region == k, latitude_rad[k], longitude_rad[k]) for k in np.unique(region[enough])]
-    if areas:
-        whole = np.ones(len(row), bool)
-        areas.append((-1, whole, float(np.mean(latitude_rad)), float(np.mean(longitude_rad))))
+    areas = [(int(k), region == k) for k in np.unique(region[enough])]
     alarms, shifted = [], np.zeros(len(row), bool)
-    for number, inside, *centre in areas:
+    for number, inside in [*areas, (-1, np.ones(len(row), bool))]:
         of = np.flatnonzero(inside & enough)
         links = len(np.unique(neighbourhood.link_id[row[of]]))
         if len(of) < _REGION_SURFACES or links < _REGION_LINKS:
@@ -318,6 +300,6 @@ def _regional_shifts(
         alike = np.abs(change_m[of] - shift_m) < np.abs(change_m[of])
         significant = abs(shift_m) - settings.publish_standard_errors * error_m > _REGION_SHIFT_M
         if significant and alike.mean() > _REGION_SHARE:
-            alarms.append((number, *centre, shift_m, error_m, alike.mean(), len(of)))
+            alarms.append((number, shift_m, alike.mean(), len(of)))
             shifted |= inside
     return np.array(alarms, ALARM), shifted

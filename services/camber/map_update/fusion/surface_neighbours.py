@@ -27,18 +27,14 @@ class SurfaceNeighbourhood:
     """Columns (n,) sorted by `surface_id`.
 
     Neighbours of row i are rows `neighbour[neighbour_begins[i]:neighbour_begins[i + 1]]`; `block` is the street.
-    `region_latitude_rad`, `region_longitude_rad` (regions,) are the means of the regions' surfaces.
     """
 
     surface_id: Integers
     link_id: Integers
-    sigma_m: Floats
     block: Integers
     region: Integers
     neighbour_begins: Integers
     neighbour: Integers
-    region_latitude_rad: Floats
-    region_longitude_rad: Floats
 
     def rows_of(self, surface_id: Integers) -> Integers:
         """Return the rows (k,) of surfaces; −1 for unknown ids."""
@@ -80,17 +76,13 @@ def build_neighbourhood(surfaces: RoadSurfaces, *, street_m: float, region_m: fl
     begins, neighbour = _neighbours(rectangles, np.argsort(latitude, kind="stable"))
     _, block = np.unique(_squares(latitude, longitude, street_m), return_inverse=True)
     _, region = np.unique(_squares(latitude, longitude, region_m), return_inverse=True)
-    count = np.maximum(np.bincount(region), 1)
     return SurfaceNeighbourhood(
         surface_id=surfaces.surface_id[order],
         link_id=surfaces.link_id[order],
-        sigma_m=surfaces.sigma_m[order],
         block=block.astype(np.int64),
         region=region.astype(np.int64),
         neighbour_begins=begins,
         neighbour=neighbour,
-        region_latitude_rad=np.bincount(region, latitude) / count,
-        region_longitude_rad=np.bincount(region, longitude) / count,
     )
 
 

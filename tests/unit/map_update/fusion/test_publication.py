@@ -46,14 +46,7 @@ def heights(
         "first_session": 100,
         "last_session": 120,
     }
-    values = {
-        "standard_error_m": 0.002,
-        "degrees": 40.0,
-        "scale_m": 0.014,
-        "agreement": 0.95,
-        **counts,
-        **changes,
-    }
+    values = {"standard_error_m": 0.002, "degrees": 40.0, "agreement": 0.95, **counts, **changes}
     columns = {name: np.full(len(offsets), value) for name, value in values.items()}
     return FusedHeights(
         location_m=offsets, without_highest_m=offsets - few_m, without_lowest_m=offsets + few_m, **columns
