@@ -157,26 +157,20 @@ def changed_tile(
 
 def surfaces_from_tiles(tiles: Iterable[SurfaceTile]) -> RoadSurfaces:
     """Return all surfaces of some tiles, each once, in the order of their ids."""
-    parts = [_tile_columns(tile) for tile in tiles]
-    names = [field.name for field in fields(RoadSurfaces)]
-    empty: dict[str, Any] = {name: [] for name in names}
-    if not parts:
-        return RoadSurfaces(**empty)
-    ids, first = np.unique(np.concatenate([part["surface_id"] for part in parts]), return_index=True)
-    columns: dict[str, Any] = {
-        name: np.concatenate([part[name] for part in parts])[first] for name in names if name != "heights_m"
-    }
-    grids = [grid for part in parts for grid in part["heights_m"]]
-    return RoadSurfaces(**columns | {"surface_id": ids, "heights_m": [grids[i] for i in first]})
+    return RoadSurfaces(**_each_once(map(_surface_columns, tiles), RoadSurfaces, ragged="heights_m"))
 
 
-def _tile_columns(tile: SurfaceTile) -> dict[str, Any]:
+def links_from_tiles(tiles: Iterable[LinkTile]) -> RoadLinks:
+    """Return all links of some tiles, each once, in the order of their ids."""
+    return RoadLinks(**_each_once(map(_link_columns, tiles), RoadLinks, ragged="vertices"))
+
+
+def _surface_columns(tile: SurfaceTile) -> dict[str, Any]:
     frame = tile_frame(tile.x, tile.y)
     latitude_rad, longitude_rad = _geodetic(frame, tile.centre_east_m, tile.centre_north_m)
     heights_m = np.round(tile.base_height_m + tile.grid_m.astype(np.float64), _HEIGHT_DECIMALS)
     shapes = zip(tile.first_height.tolist(), tile.rows.tolist(), tile.columns.tolist(), strict=True)
-    columns = {field.name: getattr(tile, field.name, None) for field in fields(RoadSurfaces)}
-    return columns | {
+    return tile.__dict__ | {
         "latitude_rad": latitude_rad,
         "longitude_rad": longitude_rad,
         "yaw_rad": np.round(tile.yaw_rad - _convergence(frame, longitude_rad), _YAW_DECIMALS),
@@ -184,25 +178,23 @@ def _tile_columns(tile: SurfaceTile) -> dict[str, Any]:
     }
 
 
-def links_from_tiles(tiles: Iterable[LinkTile]) -> RoadLinks:
-    """Return all links of some tiles, each once, in the order of their ids."""
-    by_id: dict[int, list[Any]] = {}
-    for tile in tiles:
-        points = np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
-        lines = np.split(points, tile.first_vertex[1:-1])
-        columns = (tile.start_node, tile.end_node, tile.level, tile.sigma_m)
-        rows = zip(tile.link_id.tolist(), *(c.tolist() for c in columns), lines, strict=False)
-        for link_id, *rest in rows:
-            by_id.setdefault(link_id, rest)
-    ordered = sorted(by_id.items())
-    return RoadLinks(
-        link_id=np.array([link_id for link_id, _ in ordered], np.int64),
-        start_node=np.array([link[0] for _, link in ordered], np.int64),
-        end_node=np.array([link[1] for _, link in ordered], np.int64),
-        level=np.array([link[2] for _, link in ordered], np.int64),
-        sigma_m=np.array([link[3] for _, link in ordered]),
-        vertices=[link[4] for _, link in ordered],
-    )
+def _link_columns(tile: LinkTile) -> dict[str, Any]:
+    points = np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
+    return tile.__dict__ | {"vertices": np.split(points, tile.first_vertex[1:-1])}
+
+
+def _each_once(
+    tiles: Iterable[dict[str, Any]], table: type[RoadSurfaces | RoadLinks], *, ragged: str
+) -> dict[str, Any]:
+    """Return the columns of a table from those of tiles, by its ids, which are its first column."""
+    names = [field.name for field in fields(table)]
+    parts = list(tiles)
+    if not parts:
+        return {name: [] for name in names}
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in names if name != ragged}
+    _, first = np.unique(columns[names[0]], return_index=True)
+    lists = [item for part in parts for item in part[ragged]]
+    return {name: column[first] for name, column in columns.items()} | {ragged: [lists[i] for i in first]}
 
 
 # -- small parts -----------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -81,10 +81,7 @@ class SqliteStore(Store):
             self._db = sqlite3.connect(uri, uri=True, timeout=busy_s, isolation_level=None)
         try:
             with self._errors_named():
-                if read_only:
-                    self._check()
-                else:
-                    self._prepare()
+                self._prepare(read_only)
         except StoreError:
             self._db.close()
             raise
@@ -147,39 +144,28 @@ class SqliteStore(Store):
         self._db.executemany("REPLACE INTO vote VALUES (?, ?)", pairs)
         self._db.executemany("DELETE FROM vote WHERE surface_id = ?", [(surface,) for surface in emptied])
 
-    def _prepare(self) -> None:
-        for setting in ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON"):
+    def _prepare(self, read_only: bool) -> None:
+        for setting in (
+            () if read_only else ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON")
+        ):
             self._fetch(f"PRAGMA {setting}")
-        self._check_integrity()
-        with self._transaction():
-            ((version,),) = self._fetch("PRAGMA user_version")
-            if version > FORMAT:
-                raise StoreError(
-                    f"{self.name}: format {version}, expected at most {FORMAT}: made by a later version"
-                )
-            if version < FORMAT:
-                _MIGRATIONS[version](self._db)
-                self._fetch(f"PRAGMA user_version = {FORMAT}")
-            self._check_layout()
-
-    def _check(self) -> None:
-        self._check_integrity()
-        ((version,),) = self._fetch("PRAGMA user_version")
-        if version != FORMAT:
-            raise StoreError(
-                f"{self.name}: format {version}, expected {FORMAT}: another version, or not a store"
-            )
-        self._check_layout()
-
-    def _check_integrity(self) -> None:
         self._fetch("PRAGMA cell_size_check = ON")
         ((result,),) = self._fetch("PRAGMA integrity_check(1)")
         if result != "ok":
             raise StoreError(f"{self.name}: damaged, restore it from a copy: {result}")
-
-    def _check_layout(self) -> None:
-        if defect := layout_defect(dict(self._fetch("SELECT name, descr FROM layout"))):
-            raise StoreError(f"{self.name}: {defect}")
+        with nullcontext() if read_only else self._transaction():
+            ((version,),) = self._fetch("PRAGMA user_version")
+            if version != FORMAT and read_only:
+                what = f"format {version}, expected {FORMAT}: another version, or not a store"
+                raise StoreError(f"{self.name}: {what}")
+            if version > FORMAT:
+                what = f"format {version}, expected at most {FORMAT}: made by a later version"
+                raise StoreError(f"{self.name}: {what}")
+            if version < FORMAT:
+                _MIGRATIONS[version](self._db)
+                self._fetch(f"PRAGMA user_version = {FORMAT}")
+            if defect := layout_defect(dict(self._fetch("SELECT name, descr FROM layout"))):
+                raise StoreError(f"{self.name}: {defect}")
 
 
 def _create(db: sqlite3.Connection) -> None:
