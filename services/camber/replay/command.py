@@ -62,6 +62,7 @@ def replay(
     folder.write_drive(drive_facts(inputs), None if inputs.truth is None else truth_of(inputs.truth))
     _compile(manifest, quiet=quiet)
     tick_times_ns = inputs.tick_times_ns
+    recorded = None
     with (
         tqdm(total=len(tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar,
         RunRecorder(folder, manifest.vehicle, tick_times_ns[0]) as recorder,
@@ -75,13 +76,14 @@ def replay(
             )
         else:
             began = time.monotonic()
-            output = replay_in_one_process(inputs, out, channels=(), recorder=recorder, progress=bar.update)
+            output = replay_in_one_process(inputs, out, recorder=recorder, progress=bar.update)
             wall_s, notes = time.monotonic() - began, output.notes
+            recorded = None if recorder.notes else output.recorded
             _write_issues(out / "logs", inputs, output)
         notes = (*inputs.notes, *notes, *recorder.notes)
     driven_s = (tick_times_ns[-1] - tick_times_ns[0]) / 1e9
     folder.write_run(RunFacts(speed_factor=driven_s / wall_s, wall_s=wall_s, notes=notes))
-    evaluation = evaluate_folder(folder)
+    evaluation = evaluate_folder(folder, recorded=recorded)
     for note in notes:
         print(f"camber replay: {note}", file=sys.stderr)
     if not quiet:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import os
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -144,20 +145,17 @@ class _Vehicle:
         """Hand a message to those that consume it, and record it."""
         sequence = self._sequence[source, name]
         self._sequence[source, name] += 1
+        received = Received(message=message, source=source, sequence=sequence)
+        arrival_ns = message.time_ns
         if self._recorder is not None:
-            self._recorder.add_message(name, message, source, sequence)
+            arrival_ns = time.time_ns()
+            self._recorder.add_message(name, received, arrival_ns)
         if name in self._recorded:
             self._recorded[name].append(
                 Recorded(
-                    channel=name,
-                    key=name,
-                    message=message,
-                    source=source,
-                    sequence=sequence,
-                    arrival_ns=message.time_ns,
+                    channel=name, key=name, message=message, source=source, sequence=sequence, arrival_ns=arrival_ns
                 )
-            )
-        received = Received(message=message, source=source, sequence=sequence)
+            )  # fmt: skip
         for consumer in BY_NAME[name].consumers:
             running = self._running.get(consumer)
             if running is not None and name in running.handlers:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from typing import Self
+from typing import Any, Self
 
 from camber.formats.drive.recording import Recorder
 from camber.replay.run_folder import RunFolder
-from camber.schemas.base import Message
 from camber.schemas.channels import CHANNELS
-from camber.schemas.codec import encode
+from camber.schemas.codec import Received, encode
 
 # Longer than a feeder runs ahead (4 ticks) and than a fix is late, so that the recording is in the order of time.
 _LAG_NS = 5_000_000_000
@@ -44,11 +42,11 @@ class RunRecorder:
         if name is not None:
             self._recorder.add(name, data, key=key, arrival_ns=arrival_ns)
 
-    def add_message(self, channel: str, message: Message, source: str, sequence: int) -> None:
+    def add_message(self, channel: str, received: Received[Any], arrival_ns: int) -> None:
         """Record a message as it would be on the bus."""
         if channel in self._keys:
-            data = encode(message, source=source, sequence=sequence)
-            self._recorder.add(channel, data, key=self._keys[channel], arrival_ns=time.time_ns())
+            data = encode(received.message, source=received.source, sequence=received.sequence)
+            self._recorder.add(channel, data, key=self._keys[channel], arrival_ns=arrival_ns)
 
     def tick_done(self, time_ns: int) -> None:
         """Write what was measured long enough before a tick, now and then."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,24 @@ from camber.validation.evaluation import CHANNELS, Evaluation, evaluate
 from camber.validation.report.page import render
 
 
-def evaluate_folder(folder: RunFolder, *, partial: bool = False) -> Evaluation:
+def evaluate_folder(
+    folder: RunFolder,
+    *,
+    partial: bool = False,
+    recorded: Mapping[str, Sequence[Recorded[Any]]] | None = None,
+) -> Evaluation:
     """Evaluate the run in `folder` and write summary.json and report.html into it.
+
+    `recorded`: the messages by channel as the recording has them, where they are still in memory.
 
     Raises FormatError for anything missing or damaged; with `partial`, the readable part of a damaged recording is
     evaluated, and summary and report list the damage.
     """
     drive, run = folder.read_drive(), folder.read_run()
     truth = folder.read_truth() if drive.truth else None
-    recorded, damage = _load(folder, partial)
+    damage: list[str] = []
+    if recorded is None:
+        recorded, damage = _load(folder, partial)
     evaluation = evaluate(recorded, drive, run, truth, damage=damage)
     folder.write_summary(evaluation.summary)
     folder.write_report(render(evaluation))
