@@ -1,28 +1,45 @@
-"""Valid input, damaged: bytes flipped, cut out, repeated, moved, taken from elsewhere."""
+"""Damage to valid input: bytes flipped, removed, repeated, moved, inserted from other input."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from random import Random
 
-_TELLING = (0, 1, 0x7F, 0x80, 0xFF, 0x0A, 0x0D, 0x20, 0x24, 0x2A, 0x2C, 0x2D, 0x2E, 0x30, 0x39, 0xB5, 0xD3)
-"""Bytes at the ends of ranges, and those that text and frames are made of."""
+_BOUNDARY_BYTES = (
+    0,
+    1,
+    0x7F,
+    0x80,
+    0xFF,
+    0x0A,
+    0x0D,
+    0x20,
+    0x24,
+    0x2A,
+    0x2C,
+    0x2D,
+    0x2E,
+    0x30,
+    0x39,
+    0xB5,
+    0xD3,
+)
+"""Bytes at the ends of ranges, and those of text and frames."""
 _LONGEST = 200_000
 
 
 def damaged(random: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """`data` after one to eight damages; `others` is what foreign bytes are taken from."""
-    found = bytearray(data)
+    """Return `data` after one to eight damages; `others` are the source of foreign bytes."""
+    changed = bytearray(data)
     for _ in range(random.choice((1, 1, 2, 4, 8))):
-        random.choice(_DAMAGES)(random, found, others)
-    return bytes(found[:_LONGEST])
+        random.choice(_DAMAGES)(random, changed, others)
+    return bytes(changed[:_LONGEST])
 
 
 def cut_up(random: Random, data: bytes) -> list[bytes]:
-    """The same bytes in pieces of any size, empty ones among them."""
+    """Return the same bytes in pieces of random size, some empty."""
     longest = random.choice((1, 3, 50, 4096)) if len(data) < 5_000 else random.choice((1_000, 50_000))
-    pieces = []
-    at = 0
+    pieces, at = [], 0
     while at < len(data):
         size = random.randint(0, longest)
         pieces.append(data[at : at + size])
@@ -41,15 +58,15 @@ def _flip(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
             data[random.randrange(len(data))] ^= 1 << random.randrange(8)
 
 
-def _tell(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
+def _boundary(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
     for _ in range(random.choice((1, 1, 4))):
         if data:
-            data[random.randrange(len(data))] = random.choice(_TELLING)
+            data[random.randrange(len(data))] = random.choice(_BOUNDARY_BYTES)
 
 
 def _fill(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
     part = _slice(random, len(data))
-    data[part] = bytes([random.choice(_TELLING)]) * (part.stop - part.start)
+    data[part] = bytes([random.choice(_BOUNDARY_BYTES)]) * (part.stop - part.start)
 
 
 def _scramble(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
@@ -86,22 +103,13 @@ def _splice(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
 
 
 def _digit(random: Random, data: bytearray, others: Sequence[bytes]) -> None:
-    """In text another number is as good as another byte elsewhere."""
+    """Replace a digit, as text has digits where binary data have bytes."""
     places = [place for place, byte in enumerate(data) if 0x30 <= byte <= 0x39]
     if places:
         data[random.choice(places)] = random.choice(b"0123456789")
 
 
 _DAMAGES: tuple[Callable[[Random, bytearray, Sequence[bytes]], None], ...] = (
-    _flip,
-    _flip,
-    _tell,
-    _fill,
-    _scramble,
-    _cut,
-    _end,
-    _repeat,
-    _move,
-    _splice,
-    _digit,
+    *(_flip, _flip, _boundary, _fill, _scramble, _cut),
+    *(_end, _repeat, _move, _splice, _digit),
 )

@@ -1,7 +1,4 @@
-"""One decoder under attack: what is fed to it, and what it must hold.
-
-It raises nothing but what it says it does; how a stream is cut into pieces changes nothing; its memory does not grow.
-"""
+"""Fuzzing of one decoder: it raises only documented errors, results do not depend on chunks, memory does not grow."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ _LOOK_EVERY = 50
 
 
 class StreamDecoder(Protocol):
-    """What all decoders of streams are."""
+    """A decoder of a stream."""
 
     def feed(self, data: bytes) -> list[Any]: ...
 
@@ -37,8 +34,8 @@ class StreamDecoder(Protocol):
 class Target:
     """A decoder of a stream (`stream` makes one), or a reader of a whole (`read`), which may raise `refusal`.
 
-    `corpus` makes valid inputs, each a list of contents; `sealed` makes of a content what stands in the stream, with
-    its frame and checksum, so that damage within a content gets past them.
+    `corpus` makes valid inputs, each a list of contents; `sealed` adds frame and checksum to a content, so that damage
+    within a content passes them.
     """
 
     name: str
@@ -49,8 +46,8 @@ class Target:
     sealed: Callable[[bytes], bytes] = bytes
 
 
-class Broken(AssertionError):  # noqa: N818 (the name says what is the matter)
-    """A decoder does not hold; `data` is the input that shows it."""
+class Broken(AssertionError):  # noqa: N818 (a finding)
+    """A decoder fails; `data` is the input that shows it."""
 
     def __init__(self, what: str, data: bytes) -> None:
         super().__init__(what)
@@ -58,7 +55,7 @@ class Broken(AssertionError):  # noqa: N818 (the name says what is the matter)
 
 
 def attack(target: Target, seconds: float, seed: int) -> int:
-    """Feed damaged input for so long; returns how many. Raises Broken."""
+    """Feed damaged input for a time; return the number of inputs. Raises Broken."""
     random = Random(seed)
     corpus = target.corpus(random)
     for contents in corpus:
@@ -77,21 +74,20 @@ def attack(target: Target, seconds: float, seed: int) -> int:
             warm_bytes = warm_bytes if warm_bytes is not None else resident_bytes()
             grown = resident_bytes() - warm_bytes
             if grown > MOST_GROWTH_BYTES:
-                raise Broken(
-                    f"memory grew by {grown >> 20} MiB, expected {MOST_GROWTH_BYTES >> 20} at most", data
-                )
+                limit = f"expected {MOST_GROWTH_BYTES >> 20} at most"
+                raise Broken(f"memory grew by {grown >> 20} MiB, {limit}", data)
     return count
 
 
 def check(target: Target, data: bytes, seed: int = 0) -> None:
-    """One input, as an attack does: for those that once broke a decoder. Raises Broken."""
+    """Check one input, for those that once broke a decoder. Raises Broken."""
     _hold(Random(seed), target, data)
 
 
 def _must_read(target: Target, data: bytes) -> None:
     if target.stream is not None:
         decoder = target.stream()
-        assert decoder.feed(data) + decoder.finish(), f"{target.name}: nothing is read of what is valid"
+        assert decoder.feed(data) + decoder.finish(), f"{target.name}: no result of valid input"
     else:
         assert target.read is not None
         target.read(data)
@@ -142,7 +138,7 @@ def _guarded(target: Target, data: bytes, call: Callable[[], object]) -> object:
 
 
 def _played(target: Target, pieces: Sequence[bytes]) -> object:
-    """All that a decoder says: its results, and what it has counted."""
+    """Return the results of a decoder and its counters."""
     assert target.stream is not None
     decoder = target.stream()
     results = [result for piece in pieces for result in decoder.feed(piece)]
@@ -151,15 +147,15 @@ def _played(target: Target, pieces: Sequence[bytes]) -> object:
 
 
 def counted(decoder: Any) -> dict[str, Any]:
-    """What it has counted, and the decoders that it has within it."""
+    """Return the counters of a decoder and of the decoders in it."""
     public = {name: getattr(decoder, name) for name in dir(decoder) if not name.startswith("_")}
-    found = {name: value for name, value in public.items() if isinstance(value, int | dict)}
+    counters = {name: value for name, value in public.items() if isinstance(value, int | dict)}
     within = {name: value for name, value in public.items() if type(value).__module__.startswith("camber.")}
-    return found | {f"{name}.{k}": v for name, value in within.items() for k, v in counted(value).items()}
+    return counters | {f"{name}.{k}": v for name, value in within.items() for k, v in counted(value).items()}
 
 
 def plain(value: Any) -> Any:
-    """Of values, arrays and classes, what can be compared to the last bit; NaN equals itself."""
+    """Return values, arrays and classes in a form that compares bit by bit; NaN equals itself."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, BaseModel):
@@ -175,5 +171,5 @@ def plain(value: Any) -> Any:
 
 
 def resident_bytes() -> int:
-    """Of this process."""
+    """Return the resident memory of this process."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,4 +1,4 @@
-"""A second of `make fuzz` for each decoder, and the proof that it would notice."""
+"""A second of `make fuzz` for each decoder, and the proof that faults are detected."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SEED = 20_260_320
 
 
 @pytest.mark.parametrize("target", DECODERS, ids=lambda target: target.name)
-def test_a_decoder_holds_whatever_comes(target: Target) -> None:
+def test_a_decoder_holds_for_any_input(target: Target) -> None:
     count = attack(target, SECONDS, SEED)
     print(f"{target.name}: {count} inputs, seed {SEED}")
     assert count
@@ -62,15 +62,15 @@ def test_a_decoder_without_a_fault_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"), [("raises", "ValueError"), ("pieces", "other results"), ("leaks", "memory grew")]
+    ("fault", "message"), [("raises", "ValueError"), ("pieces", "other results"), ("leaks", "memory grew")]
 )
-def test_an_exception_a_piece_that_is_lost_and_a_leak_are_noticed(fault: str, said: str) -> None:
-    with pytest.raises(Broken, match=said) as broken:
+def test_an_exception_a_lost_piece_and_a_leak_are_detected(fault: str, message: str) -> None:
+    with pytest.raises(Broken, match=message) as broken:
         attack(sums(fault), 60.0, 1)  # ends as soon as it is noticed; a busy machine takes longer
     assert isinstance(broken.value.data, bytes)
 
 
-def test_a_reader_may_refuse_as_it_says_and_not_otherwise() -> None:
+def test_a_reader_may_raise_only_its_refusal() -> None:
     def read(data: bytes) -> float:
         return 1.0 / len(data.decode("ascii"))
 

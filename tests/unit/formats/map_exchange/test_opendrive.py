@@ -36,31 +36,21 @@ def plain(value: Any) -> Any:
     return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def test_a_map_comes_back_from_a_round_trip_to_the_last_digit() -> None:
+def geometry(shape: str, length_m: float, numbers: tuple[float, ...] = (), **more: Any) -> PlanViewGeometry:
+    start = {"s_m": 0.0, "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0, **more}
+    return PlanViewGeometry(shape=shape, length_m=length_m, numbers=numbers, **start)
+
+
+def test_a_round_trip_is_exact() -> None:
     made = town()
     assert plain(opendrive_map(opendrive_bytes(made), "town.xodr")) == plain(made)
 
 
-def test_what_is_not_in_that_map_comes_back_as_well() -> None:
+def test_a_round_trip_of_the_remaining_elements_is_exact() -> None:
     rng = np.random.default_rng(3)
-    poly = PlanViewGeometry(
-        s_m=0.0,
-        x_m=1.0,
-        y_m=2.0,
-        heading_rad=0.3,
-        length_m=10.0,
-        shape="poly3",
-        numbers=(0.0, 0.1, 0.01, -0.001),
-    )
-    arc_length = PlanViewGeometry(
-        s_m=10.0,
-        x_m=1.0,
-        y_m=2.0,
-        heading_rad=0.3,
-        length_m=10.0,
-        shape="paramPoly3",
-        numbers=tuple(rng.normal(size=8)),
-    )
+    start = {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.3}
+    poly = geometry("poly3", 10.0, (0.0, 0.1, 0.01, -0.001), **start)
+    arc_length = geometry("paramPoly3", 10.0, tuple(rng.normal(size=8)), s_m=10.0, **start)
     with_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.5, 0.0, 0.0, 0.0)))
     made = dataclasses.replace(
         town(),
@@ -81,7 +71,7 @@ def test_what_is_not_in_that_map_comes_back_as_well() -> None:
     assert plain(opendrive_map(opendrive_bytes(made), "made.xodr")) == plain(made)
 
 
-def test_a_direct_junction_leads_to_the_road_behind_it() -> None:
+def test_a_direct_junction_leads_to_the_linked_road() -> None:
     made = opendrive_bytes(town())
     direct = made.replace(b"connectingRoad", b"linkedRoad")
     assert direct != made
@@ -91,109 +81,87 @@ def test_a_direct_junction_leads_to_the_road_behind_it() -> None:
 def test_a_spiral_is_the_clothoid_of_fresnel() -> None:
     spiral = street_geometries()[1]
     s = np.linspace(0.0, spiral.length_m, 50)
-    found = reference_line(road("1", [dataclasses.replace(spiral, s_m=0.0)], []), s)
+    line = reference_line(road("1", [dataclasses.replace(spiral, s_m=0.0)], []), s)
     scale = math.sqrt(math.pi * RADIUS_M * spiral.length_m)
     v, u = fresnel(s / scale)
     cos, sin = math.cos(spiral.heading_rad), math.sin(spiral.heading_rad)
     expected = np.column_stack(
         (spiral.x_m + scale * (cos * u - sin * v), spiral.y_m + scale * (sin * u + cos * v))
     )
-    np.testing.assert_allclose(found[:, :2], expected, atol=1e-8)
+    np.testing.assert_allclose(line[:, :2], expected, atol=1e-8)
     np.testing.assert_allclose(
-        found[:, 2], spiral.heading_rad + s**2 / (2.0 * RADIUS_M * spiral.length_m), atol=1e-12
+        line[:, 2], spiral.heading_rad + s**2 / (2.0 * RADIUS_M * spiral.length_m), atol=1e-12
     )
 
 
 def test_an_arc_is_a_circle() -> None:
-    arc = PlanViewGeometry(
-        s_m=0.0, x_m=100.0, y_m=50.0, heading_rad=0.7, length_m=150.0, shape="arc", numbers=(-0.02,)
-    )
+    arc = geometry("arc", 150.0, (-0.02,), x_m=100.0, y_m=50.0, heading_rad=0.7)
     s = np.linspace(0.0, 150.0, 40)
-    found = reference_line(road("1", [arc], []), s)
+    line = reference_line(road("1", [arc], []), s)
     centre = np.array([100.0 + 50.0 * math.sin(0.7), 50.0 - 50.0 * math.cos(0.7)])
-    np.testing.assert_allclose(np.hypot(*(found[:, :2] - centre).T), 50.0, atol=1e-10)
-    np.testing.assert_allclose(found[:, 2], 0.7 - 0.02 * s, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(*(line[:, :2] - centre).T), 50.0, atol=1e-10)
+    np.testing.assert_allclose(line[:, 2], 0.7 - 0.02 * s, atol=1e-12)
 
 
-def test_a_cubic_is_walked_by_its_length() -> None:
-    poly = PlanViewGeometry(
-        s_m=0.0,
-        x_m=0.0,
-        y_m=0.0,
-        heading_rad=0.0,
-        length_m=30.0,
-        shape="poly3",
-        numbers=(0.0, 0.0, 0.02, 0.0),
-    )
+def test_a_cubic_is_parametrised_by_arc_length() -> None:
+    poly = geometry("poly3", 30.0, (0.0, 0.0, 0.02, 0.0))
     s = np.linspace(0.0, 30.0, 200)
-    found = reference_line(road("1", [poly], []), s)
-    np.testing.assert_allclose(found[:, 1], 0.02 * found[:, 0] ** 2, atol=1e-9)
+    line = reference_line(road("1", [poly], []), s)
+    np.testing.assert_allclose(line[:, 1], 0.02 * line[:, 0] ** 2, atol=1e-9)
     # The length of a parabola v = k u² from 0 to u.
-    q = 2.0 * 0.02 * found[:, 0]
+    q = 2.0 * 0.02 * line[:, 0]
     np.testing.assert_allclose((q * np.sqrt(1.0 + q**2) + np.arcsinh(q)) / (4.0 * 0.02), s, atol=1e-5)
 
 
 @pytest.mark.parametrize("normalised", [True, False])
-def test_a_parametric_cubic_has_its_parameter_straight_along(normalised: bool) -> None:
+def test_a_parametric_cubic_with_both_ranges_of_its_parameter(normalised: bool) -> None:
     scale = 1.0 if normalised else 1.0 / 20.0
     numbers = (0.0, 20.0 * scale, 0.0, 0.0, 0.0, 0.0, 3.0 * scale**2, 0.0)
-    part = PlanViewGeometry(
-        s_m=0.0,
-        x_m=0.0,
-        y_m=0.0,
-        heading_rad=0.0,
-        length_m=20.0,
-        shape="paramPoly3",
-        numbers=numbers,
-        normalised=normalised,
-    )
-    found = reference_line(road("1", [part], []), np.array([0.0, 10.0, 20.0]))
-    np.testing.assert_allclose(found[:, :2], [(0.0, 0.0), (10.0, 0.75), (20.0, 3.0)], atol=1e-12)
-    assert found[2, 2] == pytest.approx(math.atan2(6.0, 20.0))
+    part = geometry("paramPoly3", 20.0, numbers, normalised=normalised)
+    line = reference_line(road("1", [part], []), np.array([0.0, 10.0, 20.0]))
+    np.testing.assert_allclose(line[:, :2], [(0.0, 0.0), (10.0, 0.75), (20.0, 3.0)], atol=1e-12)
+    assert line[2, 2] == pytest.approx(math.atan2(6.0, 20.0))
 
 
-def borders(own: Any, lane_id: int, s: float) -> Floats:
+def borders(segment: Any, lane_id: int, s: float) -> Floats:
     """Right and left border point of a lane at the station that is nearest to s."""
-    at = stations(own, 0, "a.xodr")
-    return lane_points(own, 0, at, "a.xodr")[lane_id][np.argmin(np.abs(at - s))]
+    at = stations(segment, 0, "a.xodr")
+    return lane_points(segment, 0, at, "a.xodr")[lane_id][np.argmin(np.abs(at - s))]
 
 
-STRAIGHT = [PlanViewGeometry(s_m=0.0, x_m=0.0, y_m=0.0, heading_rad=0.0, length_m=100.0, shape="line")]
+STRAIGHT = [geometry("line", 100.0)]
 BOTH = [LaneSection(0.0, [lane(1), lane(-1)])]
 
 
 def test_superelevation_lifts_the_left_side() -> None:
-    own = road("1", STRAIGHT, BOTH, superelevation=cubics((0.0, 0.05, 0.0, 0.0, 0.0)))
+    segment = road("1", STRAIGHT, BOTH, superelevation=cubics((0.0, 0.05, 0.0, 0.0, 0.0)))
     expected = [(50.0, 0.0, 0.0), (50.0, 3.5 * math.cos(0.05), 3.5 * math.sin(0.05))]
-    np.testing.assert_allclose(borders(own, 1, 50.0), expected, atol=1e-12)
-    assert borders(own, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.sin(0.05))
+    np.testing.assert_allclose(borders(segment, 1, 50.0), expected, atol=1e-12)
+    assert borders(segment, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.sin(0.05))
 
 
 def test_crossfall_lets_both_sides_fall() -> None:
     both = cubics((0.0, 0.03, 0.0, 0.0, 0.0))
-    own = road("1", STRAIGHT, BOTH, crossfall_left=both, crossfall_right=both)
-    assert borders(own, 1, 50.0)[-1, 2] == pytest.approx(-3.5 * math.tan(0.03))
-    assert borders(own, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.tan(0.03))
+    segment = road("1", STRAIGHT, BOTH, crossfall_left=both, crossfall_right=both)
+    assert borders(segment, 1, 50.0)[-1, 2] == pytest.approx(-3.5 * math.tan(0.03))
+    assert borders(segment, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.tan(0.03))
 
 
 def test_a_lateral_shape_is_straight_between_its_stations() -> None:
-    rows = [
-        (0.0, -10.0, 0.0, 0.0, 0.0, 0.0),
-        (100.0, -10.0, 0.0, 0.0, 0.0, 0.0),
-        (100.0, 0.0, 0.0, 0.0, 0.01, 0.0),
-    ]
-    own = road("1", STRAIGHT, BOTH, shape=np.array(rows))
-    found = borders(own, 1, 50.0)
-    np.testing.assert_allclose(found[:, 2], 0.5 * 0.01 * found[:, 1] ** 2, atol=1e-12)
+    starts = [(0.0, -10.0), (100.0, -10.0), (100.0, 0.0)]
+    rows = [(s, t, 0.0, 0.0, 0.01 * (t == 0.0), 0.0) for s, t in starts]
+    segment = road("1", STRAIGHT, BOTH, shape=np.array(rows))
+    line = borders(segment, 1, 50.0)
+    np.testing.assert_allclose(line[:, 2], 0.5 * 0.01 * line[:, 1] ** 2, atol=1e-12)
 
 
 def test_the_lane_offset_moves_all_lanes_and_borders_stand_for_widths() -> None:
     by_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.0, 0.0, 0.0, 0.0)))
-    own = road(
+    segment = road(
         "1", STRAIGHT, [LaneSection(0.0, [lane(1), by_border])], lane_offset=cubics((0.0, 1.0, 0.0, 0.0, 0.0))
     )
-    np.testing.assert_allclose(borders(own, 1, 50.0)[:, 1], (1.0, 4.5))
-    np.testing.assert_allclose(borders(own, -1, 50.0)[:, 1], (-2.0, 1.0))
+    np.testing.assert_allclose(borders(segment, 1, 50.0)[:, 1], (1.0, 4.5))
+    np.testing.assert_allclose(borders(segment, -1, 50.0)[:, 1], (-2.0, 1.0))
 
 
 SMALL = opendrive_bytes(dataclasses.replace(town(), roads=[road("7", STRAIGHT, BOTH)], connections=[]))
@@ -205,7 +173,7 @@ def damaged(old: str, new: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         (damaged('length="100.0" junction', 'length="1e9" junction'), "a.xodr: road 7, length is '1e9', expected more"),
         (damaged('length="100.0" junction', 'length="x" junction'), "a.xodr: road 7, length is 'x', expected a number"),
@@ -223,15 +191,15 @@ def damaged(old: str, new: str) -> bytes:
         (b"<!DOCTYPE x []><OpenDRIVE/>", "a.xodr: XML, expected a document without a DOCTYPE"),
     ],
 )  # fmt: skip
-def test_a_map_that_is_not_as_it_must_be_is_one_line(data: bytes, said: str) -> None:
+def test_an_invalid_map_is_one_clear_error(data: bytes, message: str) -> None:
     with pytest.raises(FormatError) as refused:
         opendrive_map(data, "a.xodr")
-    assert str(refused.value).startswith(said)
+    assert str(refused.value).startswith(message)
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("own", "said"),
+    ("segment", "message"),
     [
         (
             road("7", [*STRAIGHT, dataclasses.replace(STRAIGHT[0], s_m=100.0, x_m=101.0, y_m=9.0)], BOTH),
@@ -245,7 +213,7 @@ def test_a_map_that_is_not_as_it_must_be_is_one_line(data: bytes, said: str) -> 
         ),
     ],
 )  # fmt: skip
-def test_a_road_that_no_one_can_drive_is_one_line(own: Any, said: str) -> None:
+def test_an_impossible_road_is_one_clear_error(segment: Any, message: str) -> None:
     with pytest.raises(FormatError) as refused:
-        lane_points(own, 0, stations(own, 0, "a.xodr"), "a.xodr")
-    assert str(refused.value).startswith(f"a.xodr: {said}")
+        lane_points(segment, 0, stations(segment, 0, "a.xodr"), "a.xodr")
+    assert str(refused.value).startswith(f"a.xodr: {message}")

@@ -31,7 +31,7 @@ def ply(order: str, kind: str = "double", points: np.ndarray = POINTS) -> bytes:
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("kind", ["double", "float"])
-def test_points_are_read_whatever_stands_beside_them(tmp_path: Path, order: str, kind: str) -> None:
+def test_other_properties_and_elements_are_ignored(tmp_path: Path, order: str, kind: str) -> None:
     path = tmp_path / "cloud.ply"
     path.write_bytes(ply(order, kind))
     assert read_ply(path).tolist() == POINTS.tolist()
@@ -48,10 +48,10 @@ def test_a_point_that_was_not_measured_is_left_out_and_an_infinite_one_refused(o
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
-def test_a_file_that_breaks_off_is_one_clear_line_wherever_it_does(order: str) -> None:
+def test_a_truncated_file_is_one_clear_error(order: str) -> None:
     data = ply(order)
     whole = data.index(b"3 0 1 2") if order == "ascii" else len(data) - 10
-    for length in range(whole - 3):  # within the last number nothing tells
+    for length in range(whole - 3):  # not within the last number, which may be shorter
         with pytest.raises(FormatError) as refused:
             points_from_ply(data[:length], "cut.ply")
         assert str(refused.value).startswith("cut.ply")
@@ -73,7 +73,7 @@ def test_a_file_that_breaks_off_is_one_clear_line_wherever_it_does(order: str) -
         (b"9 4.0", b"9 x"),
     ],
 )
-def test_what_is_not_as_the_format_says_is_named(old: bytes, new: bytes) -> None:
+def test_an_invalid_header_or_number_is_refused(old: bytes, new: bytes) -> None:
     data = ply("ascii")
     assert old in data
     with pytest.raises(FormatError):

@@ -1,4 +1,4 @@
-"""Heights are converted exactly or refused: which grid is missing is said, and a ballpark is never taken."""
+"""Heights are converted exactly or refused: a missing grid is named, and a ballpark is never taken."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def test_without_its_grid_a_vertical_datum_is_refused_and_the_grid_named(
     latitude, longitude = np.radians(place_deg)
     with pytest.raises(FormatError) as refused:
         convert(name, datum, latitude, longitude)
-    said = str(refused.value)
-    assert said.startswith("street.osm: vertical datum is ")
-    assert grid in said
-    assert pyproj.datadir.get_data_dir() in said
-    assert "\n" not in said
+    message = str(refused.value)
+    assert message.startswith("street.osm: vertical datum is ")
+    assert grid in message
+    assert pyproj.datadir.get_data_dir() in message
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
@@ -89,9 +89,9 @@ def geoid(tmp_path: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("geoid")
 def test_with_its_grid_the_undulation_at_each_place_is_added() -> None:
     datum = vertical_datum("EPSG:5773", "WGS84", "street.osm")
-    found = datum.ellipsoidal_m(LATITUDE, LONGITUDE, HEIGHT, "street.osm")
+    ellipsoidal_m = datum.ellipsoidal_m(LATITUDE, LONGITUDE, HEIGHT, "street.osm")
     expected = 40.0 + (np.degrees(LATITUDE) - 44.0) + 0.5 * (np.degrees(LONGITUDE) - 8.0)
-    np.testing.assert_allclose(found - HEIGHT, expected, atol=1e-4)
+    np.testing.assert_allclose(ellipsoidal_m - HEIGHT, expected, atol=1e-4)
     with pytest.raises(FormatError, match="expected a place within the grid of EGM96"):
         datum.ellipsoidal_m(np.radians([60.0]), np.radians([9.0]), HEIGHT[:1], "street.osm")
 
