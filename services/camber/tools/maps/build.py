@@ -13,6 +13,7 @@ from camber.road_map.release import ROOT_NAME, load_signing_key, open_release, w
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from, whole_from
 from camber.tools.options.subcommands import Command, choose_command
@@ -36,8 +37,7 @@ KINDS = {
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
 `build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the
-arguments that all have, `args` has `datum`, `epoch_year`, `surveyed_ns` (GPS time of the newest evidence) and
-`previous_release` (Release or None) beside those of `_parser`."""
+arguments that all have, `args` has `datum`, `epoch_year` and `surveyed_ns` (GPS time of the newest evidence)."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -55,12 +55,11 @@ def main(argv: Sequence[str]) -> int:
 def _build(args: argparse.Namespace, build: Callable[[argparse.Namespace], BuiltMap]) -> int:
     previous = None if args.previous is None else open_release(args.previous)
     if previous is None and (args.out / ROOT_NAME).exists():
-        raise ReleaseError(
-            str(args.out), "folder", "one without a release, or --previous with the one before"
-        )
+        expected = "one without a release, or --previous with the one before"
+        raise ReleaseError(str(args.out), "folder", expected)
     key = None if args.signing_key is None else load_signing_key(args.signing_key)
-    args.surveyed_ns = _begin_of(args.surveyed or _day_of(args.epoch_year))
-    args.previous_release = previous
+    day: date = args.surveyed or _day_of(args.epoch_year)
+    args.surveyed_ns = gps_ns_from_utc(CalendarTime(*day.timetuple()[:6]))
     built: BuiltMap = build(args)
     for remark in built.remarks:
         print(remark)
@@ -75,7 +74,7 @@ def _build(args: argparse.Namespace, build: Callable[[argparse.Namespace], Built
         surfaces=built.surfaces,
         links=built.links,
         clouds=built.clouds,
-        lineage=built.lineage,
+        lineage=lineage(built.surfaces, previous),
         surrogate=built.surrogate,
         previous=None if previous is None else previous.root,
         signing_key=key,
@@ -93,37 +92,19 @@ def _day_of(epoch_year: float) -> date:
     return date(year, 1, 1) + timedelta(days=int((epoch_year - year) * 365.0))
 
 
-def _begin_of(day: date) -> int:
-    return gps_ns_from_utc(CalendarTime(day.year, day.month, day.day, 0, 0, 0))
-
-
 def _parser(prog: str, description: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=prog, description=description)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the release")
-    parser.add_argument("--region", required=True, help="name of the region that the map is of")
-    parser.add_argument(
-        "--datum",
-        required=True,
-        help="of the positions and ellipsoidal heights of the release, as receivers name it: WGS84, ITRF2020, …",
-    )
-    parser.add_argument(
-        "--epoch-year",
-        type=number_from(1980.1, datetime.now(UTC).year + 1.0),
-        required=True,
-        metavar="YEAR",
-        help="at which the datum's positions hold",
-    )
-    parser.add_argument(
-        "--surveyed",
-        type=date.fromisoformat,
-        metavar="YYYY-MM-DD",
-        help="when the road was last seen; else the day of --epoch-year",
-    )
-    parser.add_argument(
-        "--map-version", type=whole_from(1, 2**63 - 1), help="else the previous release's and one, or 1"
-    )
-    parser.add_argument("--previous", type=Path, metavar="DIR", help="the release that this one comes after")
-    parser.add_argument(
-        "--signing-key", type=Path, metavar="PEM", help="Ed25519; else the release is unsigned"
-    )
+    add = parser.add_argument
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the release")
+    add("--region", required=True, help="name of the region that the map is of")
+    text = "of the positions and ellipsoidal heights of the release, as receivers name it: WGS84, ITRF2020, …"
+    add("--datum", required=True, help=text)
+    year, text = number_from(1980.1, datetime.now(UTC).year + 1.0), "at which the datum's positions hold"
+    add("--epoch-year", type=year, required=True, metavar="YEAR", help=text)
+    text = "when the road was last seen; else the day of --epoch-year"
+    add("--surveyed", type=date.fromisoformat, metavar="YYYY-MM-DD", help=text)
+    text = "else the previous release's and one, or 1"
+    add("--map-version", type=whole_from(1, 2**63 - 1), help=text)
+    add("--previous", type=Path, metavar="DIR", help="the release that this one comes after")
+    add("--signing-key", type=Path, metavar="PEM", help="Ed25519; else the release is unsigned")
     return parser

@@ -21,19 +21,12 @@ from camber.formats.errors import FormatError
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
-from camber.tools.maps.importers.lanes import named_id
+from camber.tools.maps.importers.lanes import named_links
 
 _DECIMALS = 10  # of degrees: a hundredth of a millimetre
 _SURFACE = (
-    "surface_id",
-    "link_id",
-    "level",
-    "sigma_m",
-    "vehicles",
-    "last_seen_ns",
-    "half_length_m",
-    "half_width_m",
-)
+    "surface_id", "link_id", "level", "sigma_m", "vehicles", "last_seen_ns", "half_length_m", "half_width_m",
+)  # fmt: skip
 _LINK = ("link_id", "start_node", "end_node", "level", "sigma_m")
 _MOST_BYTES = 1 << 31  # chosen: bounds the memory of the JSON parser
 
@@ -72,10 +65,7 @@ def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[float | None
 def _surface(surfaces: RoadSurfaces, row: int) -> dict[str, Any]:
     grid = surfaces.heights_m[row]
     latitude, longitude = float(surfaces.latitude_rad[row]), float(surfaces.longitude_rad[row])
-    yaw, half = (
-        float(surfaces.yaw_rad[row]),
-        (float(surfaces.half_length_m[row]), float(surfaces.half_width_m[row])),
-    )
+    yaw, half = float(surfaces.yaw_rad[row]), (surfaces.half_length_m[row], surfaces.half_width_m[row])
     # Counter-clockwise from the rear right corner, as the format wants outer rings.
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
     c, s = math.cos(yaw), math.sin(yaw)
@@ -124,21 +114,14 @@ def _links(features: list[Mapping[str, Any]]) -> RoadLinks:
         if line.ndim != 2 or len(line) < 2 or not (np.abs(line) <= 180.0).all():
             raise ReleaseError("links", "coordinates", "two places or more, in degrees")
         vertices.append(np.radians(line[:, ::-1]))
-    places = [np.rint(np.degrees(line) * 1e8).astype(np.int64).tolist() for line in vertices]
-
-    def column(name: str, otherwise: list[Any]) -> Any:
-        return np.array([row.get(name, value) for row, value in zip(rows, otherwise, strict=True)])
-
     if not rows:
         return RoadLinks(**{field.name: [] for field in fields(RoadLinks)})  # type: ignore[arg-type]
-    return RoadLinks(
-        link_id=column("link_id", [named_id("link", line) for line in places]),
-        start_node=column("start_node", [named_id("node", line[0]) for line in places]),
-        end_node=column("end_node", [named_id("node", line[-1]) for line in places]),
-        level=column("level", [0] * len(rows)),
-        sigma_m=column("sigma_m", [0.5] * len(rows)),
-        vertices=vertices,
-    )
+    links = named_links("link", vertices)
+    columns: dict[str, Any] = {}
+    for name in _LINK:
+        otherwise = getattr(links, name).tolist()
+        columns[name] = np.array([row.get(name, value) for row, value in zip(rows, otherwise, strict=True)])
+    return RoadLinks(**columns, vertices=vertices)
 
 
 def _number(value: Any) -> float | None:

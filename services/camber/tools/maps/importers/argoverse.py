@@ -18,7 +18,7 @@ from camber.formats.map_exchange.argoverse import ArgoverseLog, LaneSegment, rea
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadLinks
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.lane_map import lineage
+from camber.tools.maps.importers.lanes import JoinedSets, distance_along
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import (
     HEIGHT,
@@ -28,6 +28,7 @@ from camber.tools.options.number_options import (
     each_of,
     number_from,
 )
+from camber.tools.options.parsers import add_with_default
 
 CITIES: dict[str, tuple[int, float, float]] = {
     "ATX": (14, 30.27464237939507, -97.7404457407424),
@@ -91,28 +92,14 @@ class CityFrame:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only this kind needs."""
     parser.add_argument("log", type=Path, help="folder of a log: city_SE3_egovehicle.feather and map/")
-    parser.add_argument(
-        "--zero-height-m",
-        type=HEIGHT,
-        metavar="H",
-        help="ellipsoidal height of the city's zero, where it is known",
-    )
-    parser.add_argument(
-        "--origin",
-        action=each_of(LATITUDE, LONGITUDE),
-        nargs=2,
-        metavar=("LAT", "LON"),
-        help="degrees: take city coordinates for the plane there, not for those of the city in the files' names",
-    )
-    parser.add_argument(
-        "--sigma-m", type=HEIGHT_SIGMA, default=0.03, metavar="S", help="σ of the raster's heights"
-    )
-    parser.add_argument(
-        "--spacing-m",
-        type=number_from(0.05, 20.0, "m"),
-        metavar="D",
-        help="between the surfaces' heights; else the raster's cells",
-    )
+    text = "ellipsoidal height of the city's zero, where it is known"
+    parser.add_argument("--zero-height-m", type=HEIGHT, metavar="H", help=text)
+    text = "degrees: take city coordinates for the plane there, not for those of the city in the files' names"
+    origin = each_of(LATITUDE, LONGITUDE)
+    parser.add_argument("--origin", action=origin, nargs=2, metavar=("LAT", "LON"), help=text)
+    add_with_default(parser, "--sigma-m", 0.03, "σ of the raster's heights", type=HEIGHT_SIGMA, metavar="S")
+    text = "between the surfaces' heights; else the raster's cells"
+    parser.add_argument("--spacing-m", type=number_from(0.05, 20.0, "m"), metavar="D", help=text)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -126,41 +113,30 @@ def build(args: argparse.Namespace) -> BuiltMap:
     roads = _roads(lanes, city)
 
     def ground(latitude: Floats, longitude: Floats, _: Integers) -> tuple[Floats, Floats]:
-        height_m = (
-            log.ground.height_between(np.column_stack(city.from_geodetic(latitude, longitude))) + zero_m
-        )
+        plane_m = np.column_stack(city.from_geodetic(latitude, longitude))
+        height_m = log.ground.height_between(plane_m) + zero_m
         return height_m, np.where(np.isfinite(height_m), args.sigma_m, np.nan)
 
     spacing_m = log.ground.cell_m if args.spacing_m is None else args.spacing_m
     surfaces = surfaces_along(roads, ground, spacing_m=spacing_m, seen_ns=args.surveyed_ns)
     remarks = [f"{elsewhere} lanes lie on another level than the raster: no surfaces"] if elsewhere else []
-    zero = (
-        "" if args.zero_height_m is not None else "; heights are above the city's own zero, not the ellipsoid"
-    )
-    surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m{zero}"
-    return BuiltMap(
-        surfaces=surfaces,
-        links=roads.links,
-        lineage=lineage(surfaces, args.previous_release),
-        surrogate=surrogate,
-        remarks=remarks,
-    )
+    surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m"
+    if args.zero_height_m is None:
+        surrogate += "; heights are above the city's own zero, not the ellipsoid"
+    return BuiltMap(surfaces=surfaces, links=roads.links, surrogate=surrogate, remarks=remarks)
 
 
 def centre_line(lane: LaneSegment) -> tuple[Floats, float]:
     """Places (k, 3) halfway between a lane's boundaries, and half of its median width [m]."""
-    count = max(2, 1 + int(max(_length_m(lane.left_m), _length_m(lane.right_m)) / _STEP_M))
+    length_m = max(distance_along(side)[-1] for side in (lane.left_m, lane.right_m))
+    count = max(2, 1 + int(length_m / _STEP_M))
     left_m, right_m = (_points_along(side, count) for side in (lane.left_m, lane.right_m))
     width_m = np.hypot(*(left_m - right_m)[:, :2].T)
     return 0.5 * (left_m + right_m), 0.5 * float(np.median(width_m))
 
 
-def _length_m(line_m: Floats) -> float:
-    return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
-
-
 def _points_along(line_m: Floats, count: int) -> Floats:
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m[:, :2], axis=0).T)))
+    along = distance_along(line_m)
     at = np.linspace(0.0, along[-1], count)
     return np.column_stack([np.interp(at, along, column) for column in line_m.T])
 
@@ -198,20 +174,9 @@ def _nodes(lanes: list[LaneSegment]) -> tuple[Integers, Integers]:
 
     An end is numbered `2 · lane id` (start) or one more (end), and a node has the least number of its ends.
     """
-    parent: dict[int, int] = {}
-
-    def root(end: int) -> int:
-        parent.setdefault(end, end)
-        while parent[end] != end:
-            parent[end] = parent[parent[end]]
-            end = parent[end]
-        return end
-
+    nodes = JoinedSets[int]()
     for lane in lanes:
         for other in lane.successors:
-            a, b = sorted((root(2 * lane.lane_id + 1), root(2 * other)))
-            parent[b] = a
-    return (
-        np.array([root(2 * lane.lane_id) for lane in lanes]),
-        np.array([root(2 * lane.lane_id + 1) for lane in lanes]),
-    )
+            nodes.join(2 * lane.lane_id + 1, 2 * other)
+    start, end = (np.array([nodes.least(2 * lane.lane_id + k) for lane in lanes]) for k in (0, 1))
+    return start, end

@@ -14,13 +14,11 @@ class BuiltMap:
     """Columns and tiles for `write_release`.
 
     `surrogate`: not empty where the map was not surveyed, or heights are not as exact as their σ by a conversion that
-    the user answers for: how it was made. `lineage`: (surface here, surface of the previous release that it came
-    from). `remarks`: lines for the user about omissions and their reasons.
+    the user answers for: how it was made. `remarks`: lines for the user about omissions and their reasons.
     """
 
     surfaces: RoadSurfaces
     links: RoadLinks
     clouds: Sequence[CloudTile] = ()
-    lineage: Sequence[tuple[int, int]] = ()
     surrogate: str = ""
     remarks: Sequence[str] = ()

@@ -34,65 +34,40 @@ from camber.tools.maps.importers.ground_points import (
     thinned,
 )
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.maps.importers.rasters import horizontal_and_vertical, to_horizontal
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, surfaces_along
 from camber.tools.maps.importers.survey_drive import DriveRoads, RoadTrack, drive_roads
 from camber.tools.options.number_options import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from
+from camber.tools.options.parsers import add_with_default
 
 _REACH_M = 4.0  # chosen: as the default of --reach-m in `survey_drive`
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only clouds need."""
+    text = ".las, .laz, .pcd, .ply; or folders of them"
+    parser.add_argument("files", type=Path, nargs="+", metavar="CLOUD", help=text)
+    text = "where the vehicle went: a truth.csv, or rows of 12 numbers, 3 × 4 from the poses' frame to --origin's"
+    parser.add_argument("--poses", type=Path, required=True, metavar="FILE", help=text)
+    above_m = number_from(0.0, 20.0, "m")
     parser.add_argument(
-        "files", type=Path, nargs="+", metavar="CLOUD", help=".las, .laz, .pcd, .ply; or folders of them"
+        "--above-road-m", type=above_m, required=True, metavar="H", help="of what the poses are of"
     )
-    parser.add_argument(
-        "--poses", type=Path, required=True, metavar="FILE",
-        help="where the vehicle went: a truth.csv, or rows of 12 numbers, 3 × 4 from the poses' frame to --origin's",
-    )  # fmt: skip
-    parser.add_argument(
-        "--above-road-m",
-        type=number_from(0.0, 20.0, "m"),
-        required=True,
-        metavar="H",
-        help="of what the poses are of",
-    )
-    parser.add_argument(
-        "--sweeps", action="store_true", help="each cloud is a sweep in the sensor's own frame"
-    )
-    metres, degrees = number_from(-50.0, 50.0, "m"), number_from(-360.0, 360.0, "°")
-    parser.add_argument(
-        "--sensor", nargs=6, action=each_of(metres, metres, metres, degrees, degrees, degrees),
-        default=(0.0,) * 6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
-        help="with --sweeps: where the sensor is in the poses' frame, metres and degrees (default: at it)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--origin", action=each_of(LATITUDE, LONGITUDE, HEIGHT), nargs=3, metavar=("LAT", "LON", "H"),
-        help="degrees, metres above the ellipsoid: of clouds and poses that name no reference system",
-    )  # fmt: skip
-    parser.add_argument(
-        "--width-m",
-        type=number_from(1.0, 40.0, "m"),
-        default=6.0,
-        metavar="W",
-        help="of the road (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--spacing-m",
-        type=number_from(0.1, 5.0, "m"),
-        default=0.5,
-        metavar="D",
-        help="of heights (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--voxel-m",
-        type=number_from(0.02, 1.0, "m"),
-        default=0.1,
-        metavar="D",
-        help="of the clouds (default: %(default)s)",
-    )
+    text = "each cloud is a sweep in the sensor's own frame"
+    parser.add_argument("--sweeps", action="store_true", help=text)
+    bounds = each_of(*[number_from(-50.0, 50.0, "m")] * 3, *[number_from(-360.0, 360.0, "°")] * 3)
+    names = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
+    text = "with --sweeps: where the sensor is in the poses' frame, metres and degrees (default: at it)"
+    parser.add_argument("--sensor", nargs=6, action=bounds, default=(0.0,) * 6, metavar=names, help=text)
+    place = each_of(LATITUDE, LONGITUDE, HEIGHT)
+    text = "degrees, metres above the ellipsoid: of clouds and poses that name no reference system"
+    parser.add_argument("--origin", nargs=3, action=place, metavar=("LAT", "LON", "H"), help=text)
+    for name, default, (least, most), text in (
+        ("--width-m", 6.0, (1.0, 40.0), "of the road"),
+        ("--spacing-m", 0.5, (0.1, 5.0), "of heights"),
+        ("--voxel-m", 0.1, (0.02, 1.0), "of the clouds"),
+    ):
+        add_with_default(parser, name, default, text, type=number_from(least, most, "m"), metavar="D")
     add_height_arguments(parser)
 
 
@@ -136,7 +111,6 @@ def build(args: argparse.Namespace) -> BuiltMap:
         surfaces=surfaces,
         links=roads.roads.links,
         clouds=tiles,
-        lineage=lineage(surfaces, args.previous_release),
         surrogate="" if vertical is None else vertical.surrogate,
         remarks=[remark],
     )

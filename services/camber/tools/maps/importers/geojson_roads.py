@@ -11,7 +11,6 @@ from pathlib import Path
 from camber.formats.errors import FormatError
 from camber.tools.maps.geojson import read_geojson
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.lane_map import lineage
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,4 +24,4 @@ def build(args: argparse.Namespace) -> BuiltMap:
     stray = set(surfaces.link_id.tolist()) - set(links.link_id.tolist())
     if stray:
         raise FormatError(str(args.file), "link_id", "a link of the file", actual=str(min(stray)))
-    return BuiltMap(surfaces=surfaces, links=links, lineage=lineage(surfaces, args.previous_release))
+    return BuiltMap(surfaces=surfaces, links=links)

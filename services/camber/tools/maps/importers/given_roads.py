@@ -16,30 +16,17 @@ from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of
 from camber.tools.maps.importers.surfaces_along import RoadCentreLines
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_with_default
 
 
 def add_road_arguments(parser: argparse.ArgumentParser) -> None:
     """Where the roads are, and how wide."""
-    parser.add_argument(
-        "--roads",
-        type=Path,
-        required=True,
-        metavar="PATH",
-        help="middles of the roads: folder of a release (its links), FILE.geojson (lines), FILE.osm (lanelets)",
-    )
-    parser.add_argument(
-        "--width-m",
-        type=number_from(0.5, 100.0, "m"),
-        default=3.0,
-        metavar="W",
-        help="of a road whose line does not say it (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--spacing-m",
-        type=number_from(0.05, 20.0, "m"),
-        metavar="D",
-        help="between heights of a surface (default: the input's)",
-    )
+    text = "middles of the roads: folder of a release (its links), FILE.geojson (lines), FILE.osm (lanelets)"
+    parser.add_argument("--roads", type=Path, required=True, metavar="PATH", help=text)
+    text, bounds = "of a road whose line does not say it", number_from(0.5, 100.0, "m")
+    add_with_default(parser, "--width-m", 3.0, text, type=bounds, metavar="W")
+    text = "between heights of a surface (default: the input's)"
+    parser.add_argument("--spacing-m", type=number_from(0.05, 20.0, "m"), metavar="D", help=text)
 
 
 def given_roads(args: argparse.Namespace) -> RoadCentreLines:

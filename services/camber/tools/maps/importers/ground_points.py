@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
+from camber.tools.maps.importers.lanes import distance_along
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -96,8 +97,7 @@ NO_ROAD = np.iinfo(np.int64).min
 
 def _stretches(path_m: Floats, level: Integers) -> list[Integers]:
     """Rows of the samples of each stretch of some metres, which overlap by a sample."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(path_m[:, :2], axis=0).T)))
-    number = np.floor(along / _STRETCH_M)
+    number = np.floor(distance_along(path_m) / _STRETCH_M)
     cuts = np.flatnonzero((np.diff(number) != 0) | (np.diff(level) != 0)) + 1
     parts = np.split(np.arange(len(path_m)), cuts)
     joined = [np.append(a, b[0]) if level[a[0]] == level[b[0]] else a for a, b in pairwise(parts)]

@@ -13,34 +13,38 @@ from camber.formats.map_exchange.vertical_datum import (
     constant_undulation,
     vertical_datum,
 )
+from camber.tools.maps.importers.lane_map import LaneSurvey
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
+from camber.tools.options.parsers import add_with_default
 
 
 def add_height_arguments(parser: argparse.ArgumentParser) -> None:
     """The vertical datum, or an undulation that the user answers for; and σ of the heights."""
     heights = parser.add_argument_group("heights of the input")
-    heights.add_argument(
-        "--vertical-datum",
-        metavar="NAME",
-        help="above what they are: ellipsoidal, or a vertical CRS as PROJ knows it (EPSG:7837, 'EGM2008 height')",
+    text = (
+        "above what they are: ellipsoidal, or a vertical CRS as PROJ knows it (EPSG:7837, 'EGM2008 height')"
     )
-    heights.add_argument(
-        "--geoid-undulation-m",
-        type=number_from(-MAX_UNDULATION_M, MAX_UNDULATION_M, "m"),
-        metavar="N",
-        help="instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map",
-    )
-    heights.add_argument(
-        "--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help="its σ, which goes into that of the map"
-    )
+    heights.add_argument("--vertical-datum", metavar="NAME", help=text)
+    text = "instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map"
+    bounds = number_from(-MAX_UNDULATION_M, MAX_UNDULATION_M, "m")
+    heights.add_argument("--geoid-undulation-m", type=bounds, metavar="N", help=text)
+    text = "its σ, which goes into that of the map"
+    heights.add_argument("--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help=text)
     heights.add_argument("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
-    heights.add_argument(
-        "--sigma-m",
-        type=HEIGHT_SIGMA,
-        required=True,
-        metavar="S",
-        help="σ of the heights of roads in the input",
-    )
+    text = "σ of the heights of roads in the input"
+    heights.add_argument("--sigma-m", type=HEIGHT_SIGMA, required=True, metavar="S", help=text)
+
+
+def add_link_sigma(parser: argparse.ArgumentParser) -> None:
+    """σ of lanes across."""
+    bounds = number_from(0.001, 100.0, "m")
+    add_with_default(parser, "--link-sigma-m", 0.5, "σ of the lanes across", type=bounds, metavar="S")
+
+
+def lane_survey(args: argparse.Namespace, vertical: VerticalDatum) -> LaneSurvey:
+    """How well the lanes of a map are known."""
+    sigma_m = sigma_of(args, vertical)
+    return LaneSurvey(sigma_m=sigma_m, link_sigma_m=args.link_sigma_m, seen_ns=args.surveyed_ns)
 
 
 def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) -> VerticalDatum:
@@ -59,9 +63,8 @@ def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) 
         raise FormatError(file, FIELD, f"{stated}, as the file says", actual=named)
     name = named or stated
     if name is None:
-        raise FormatError(
-            file, FIELD, "--vertical-datum with its name (ellipsoidal, EPSG:7837, …)", actual="not stated"
-        )
+        expected = "--vertical-datum with its name (ellipsoidal, EPSG:7837, …)"
+        raise FormatError(file, FIELD, expected, actual="not stated")
     return vertical_datum(name, args.datum, file)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from camber.formats.errors import FormatError
 from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.lane_pieces import LanePiece
-from camber.tools.maps.importers.lanes import Floats, Integers, Lane
+from camber.tools.maps.importers.lanes import Floats, Integers, JoinedSets, Lane
 
 APART_M = 3.0  # chosen: below the clearance of every bridge for vehicles, above any step in one road
 _CELL_M = 2.0  # chosen: about half the width of a lane
@@ -101,21 +101,12 @@ def _stabs(intervals: Sequence[Pair]) -> list[int]:
 
 def _side_by_side(lanes: Sequence[Lane], starts: Integers) -> list[int]:
     """A number for each part of a lane, the same for lanes that share a border; parts of cut lanes have their own."""
-    parent = list(range(int(starts[-1])))
-
-    def root(k: int) -> int:
-        while parent[k] != k:
-            parent[k] = parent[parent[k]]
-            k = parent[k]
-        return k
-
-    first: dict[str, int] = {}
+    sets, first = JoinedSets[int](), dict[str, int]()
     for k, lane in enumerate(lanes):
         if starts[k + 1] - starts[k] == 1:
             for border in lane.borders:
-                other = first.setdefault(border, int(starts[k]))
-                parent[root(int(starts[k]))] = root(other)
-    return [root(k) for k in range(len(parent))]
+                sets.join(int(starts[k]), first.setdefault(border, int(starts[k])))
+    return [sets.least(k) for k in range(int(starts[-1]))]
 
 
 def _levels(

@@ -14,7 +14,7 @@ from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
-from camber.tools.maps.importers.lanes import Floats, Lane, named_id
+from camber.tools.maps.importers.lanes import Floats, Lane, distance_along, named_id
 
 _STEP_M = 0.01
 """Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""
@@ -117,9 +117,9 @@ def _links(
     nodes += [named_id("node", lane.name, lane.plan, cut) for cut in cuts]
     nodes.append(named_id("node", lane.nodes[1]))
     line_m = lane.centre_m
-    along_m = _along(line_m)
+    along_m = distance_along(line_m)
     # Where the lane is cut: between two pieces.
-    at_m = np.array([0.0] + [_nearest(line_m, along_m, pieces, cut) for cut in cuts] + [along_m[-1]])
+    at_m = np.array([0.0] + [_nearest(along_m, pieces, cut) for cut in cuts] + [along_m[-1]])
     links = []
     for k, (begin, end) in enumerate(pairwise(at_m.tolist())):
         at = np.concatenate(([begin], along_m[(along_m > begin + 1e-3) & (along_m < end - 1e-3)], [end]))
@@ -129,11 +129,7 @@ def _links(
     return links
 
 
-def _along(line_m: Floats) -> Floats:
-    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))))
-
-
-def _nearest(line_m: Floats, along_m: Floats, pieces: Sequence[LanePiece], cut: int) -> float:
+def _nearest(along_m: Floats, pieces: Sequence[LanePiece], cut: int) -> float:
     """How far along a line the beginning of a piece is."""
     length_m = np.array([2.0 * piece.half_length_m for piece in pieces])
     return float(along_m[-1] * length_m[:cut].sum() / length_m.sum())

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.road_map.road_columns import RoadLinks
 from camber.road_map.tile_checks import MAX_ID
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+K = TypeVar("K", bound=Any)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,3 +49,58 @@ def named_id(*parts: object) -> int:
     with a probability of 1e-5; RoadSurfaces and RoadLinks refuse such a map."""
     digest = hashlib.sha256("\n".join(map(str, parts)).encode()).digest()
     return int.from_bytes(digest[:8], "big") % MAX_ID
+
+
+def quantized_degrees(line_rad: Floats) -> list[list[int]]:
+    """Places (n, 2) [rad] in units of 1e-8°, a millimetre: a tool that writes the last digits anew moves no line."""
+    places: list[list[int]] = np.rint(np.degrees(line_rad) * 1e8).astype(np.int64).tolist()
+    return places
+
+
+def named_links(
+    kind: str, vertices: Sequence[Floats], *, level: Integers | None = None, sigma_m: float = 0.5
+) -> RoadLinks:
+    """Links along lines (k, 2) [rad] whose ids, and those of their nodes, come from their places."""
+    places = [quantized_degrees(line) for line in vertices]
+    return RoadLinks(
+        link_id=np.array([named_id(kind, line) for line in places], np.int64),
+        start_node=np.array([named_id("node", line[0]) for line in places], np.int64),
+        end_node=np.array([named_id("node", line[-1]) for line in places], np.int64),
+        level=np.zeros(len(places), np.int64) if level is None else level,
+        sigma_m=np.full(len(places), sigma_m),
+        vertices=list(vertices),
+    )
+
+
+def distance_along(line_m: Floats) -> Floats:
+    """How far along a line (n, 2 or 3) each of its points is in the plane (n,) [m]."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m[:, :2], axis=0).T)))
+
+
+class JoinedSets(Generic[K]):
+    """Sets of keys that were joined; each set is known by its least key (union-find)."""
+
+    def __init__(self) -> None:
+        self._parent: dict[K, K] = {}
+
+    def least(self, key: K) -> K:
+        """Return the least key of the set that `key` is in."""
+        parent = self._parent
+        while parent.setdefault(key, key) != key:
+            parent[key] = parent[parent[key]]
+            key = parent[key]
+        return key
+
+    def join(self, a: K, b: K) -> None:
+        """Make one set of the two that `a` and `b` are in."""
+        first, second = sorted((self.least(a), self.least(b)))
+        self._parent[second] = first
+
+    def __iter__(self) -> Iterator[K]:
+        """All keys asked for so far."""
+        return iter(list(self._parent))
+
+
+def mean_longitude(longitude_rad: Floats) -> float:
+    """The middle of longitudes (n,) [rad], also across the antimeridian."""
+    return float(np.angle(np.mean(np.exp(1j * longitude_rad))))

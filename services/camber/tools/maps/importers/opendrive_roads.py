@@ -25,10 +25,15 @@ from camber.formats.map_exchange.projection import Projection, projection_of
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.lane_map import LaneSurvey, lineage, road_map
-from camber.tools.maps.importers.lanes import Floats, Lane, named_id
-from camber.tools.options.number_options import number_from
+from camber.tools.maps.importers.height_options import (
+    add_height_arguments,
+    add_link_sigma,
+    lane_survey,
+    vertical_of,
+)
+from camber.tools.maps.importers.lane_map import road_map
+from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
+from camber.tools.options.parsers import add_with_default
 
 LANE_TYPES = (
     "driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional", "shoulder", "stop", "bus",
@@ -44,21 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only an OpenDRIVE map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.xodr")
     add_height_arguments(parser)
-    parser.add_argument(
-        "--link-sigma-m",
-        type=number_from(0.001, 100.0, "m"),
-        default=0.5,
-        metavar="S",
-        help="σ of the lanes across (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--lane-types",
-        default=",".join(LANE_TYPES),
-        help="types of lanes that are taken (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--georeference", metavar="PROJ", help="the projection, where the file does not say it"
-    )
+    add_link_sigma(parser)
+    add_with_default(parser, "--lane-types", ",".join(LANE_TYPES), "types of lanes that are taken")
+    text = "the projection, where the file does not say it"
+    parser.add_argument("--georeference", metavar="PROJ", help=text)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -67,20 +61,16 @@ def build(args: argparse.Namespace) -> BuiltMap:
     drive = read_opendrive(args.file)
     text = args.georeference or drive.georeference
     if text is None:
-        raise FormatError(
-            file, "header, geoReference", "a projection, or --georeference with one", actual="none"
-        )
+        expected = "a projection, or --georeference with one"
+        raise FormatError(file, "header, geoReference", expected, actual="none")
     projection = projection_of(text, args.datum, file, "header, geoReference")
     vertical = vertical_of(args, file, projection.vertical)
     frame, lanes = lanes_of(drive, projection, vertical, frozenset(args.lane_types.split(",")), file)
-    known = LaneSurvey(
-        sigma_m=sigma_of(args, vertical), link_sigma_m=args.link_sigma_m, seen_ns=args.surveyed_ns
-    )
+    known = lane_survey(args, vertical)
     surfaces, links, steps = road_map(lanes, frame, known, file)
     return BuiltMap(
         surfaces=surfaces,
         links=links,
-        lineage=lineage(surfaces, args.previous_release),
         surrogate=vertical.surrogate,
         remarks=[f"{file}: {len(lanes)} lanes of {len(drive.roads)} roads; heights: {vertical.how}", *steps],
     )
@@ -101,7 +91,7 @@ def lanes_of(
     flat = np.concatenate([points.reshape(-1, 3) for *_, points in pieces]) + np.array(drive.offset_m)
     latitude, longitude = projection.geodetic(flat[:, 0], flat[:, 1])
     height_m = vertical.ellipsoidal_m(latitude, longitude, flat[:, 2], file)
-    frame = LocalFrame(float(np.mean(latitude)), float(np.angle(np.mean(np.exp(1j * longitude)))), 0.0)
+    frame = LocalFrame(float(np.mean(latitude)), mean_longitude(longitude), 0.0)
     plane = np.column_stack((frame.east_north_from_geodetic_array(latitude, longitude, 0.0), height_m))
     sizes = np.cumsum([points.shape[0] * points.shape[1] for *_, points in pieces])
     node_of = _nodes(drive)
@@ -120,14 +110,13 @@ def _lanes_of(
         return
     if not len(road.elevation) or road.elevation[0, 0] > road.sections[number].s_m:
         # By the book that is a road at height 0; of a map that is to judge heights it says that nobody measured it.
-        raise FormatError(
-            file, f"road {road.identity}, elevationProfile", "an elevation from the road's begin on"
-        )
+        field = f"road {road.identity}, elevationProfile"
+        raise FormatError(file, field, "an elevation from the road's begin on")
     points = lane_points(road, number, stations(road, number, file), file)
     for lane in wanted:
-        own = points[lane.lane_id]
-        if np.hypot(*(own[:, 0, :2] - own[:, -1, :2]).T).max() >= _NARROWEST_M:
-            yield lane, own
+        sections = points[lane.lane_id]
+        if np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T).max() >= _NARROWEST_M:
+            yield lane, sections
 
 
 def _lane(
@@ -143,7 +132,7 @@ def _lane(
         points, ends, (right, left) = points[::-1, ::-1], ends[::-1], (left, right)
     plan = (
         road.geometries, road.superelevation.tolist(), road.lane_offset.tolist(), road.sections[number].s_m,
-        [(own.lane_id, own.widths.tolist(), own.borders.tolist()) for own in road.sections[number].lanes],
+        [(each.lane_id, each.widths.tolist(), each.borders.tolist()) for each in road.sections[number].lanes],
     )  # fmt: skip
     return Lane(
         name=name,
@@ -164,18 +153,10 @@ def _ends(road: OpenDriveRoad, number: int, lane: int) -> tuple[End, End]:
 
 def _nodes(drive: OpenDrive) -> dict[End, str]:
     """A name for each end of a lane that goes on to another, the same for all that meet there."""
-    parent: dict[End, End] = {}
-
-    def root(end: End) -> End:
-        while parent.setdefault(end, end) != end:
-            parent[end] = parent[parent[end]]
-            end = parent[end]
-        return end
-
+    sets = JoinedSets[End]()
     for a, b in _meetings(drive):
-        first, second = sorted((root(a), root(b)))
-        parent[second] = first
-    return {end: " ".join(map(str, root(end))) for end in list(parent)}
+        sets.join(a, b)
+    return {end: " ".join(map(str, sets.least(end))) for end in sets}
 
 
 def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
@@ -185,16 +166,14 @@ def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
         for number, section in enumerate(road.sections):
             for lane in section.lanes:
                 start, end = _ends(road, number, lane.lane_id)
-                if lane.predecessor is not None:
-                    if number > 0:
-                        yield start, _ends(road, number - 1, lane.predecessor)[1]
-                    else:
-                        yield from _to_road(start, road.predecessor, lane.predecessor, roads)
-                if lane.successor is not None:
-                    if number < last:
-                        yield end, _ends(road, number + 1, lane.successor)[0]
-                    else:
-                        yield from _to_road(end, road.successor, lane.successor, roads)
+                if lane.predecessor is not None and number > 0:
+                    yield start, _ends(road, number - 1, lane.predecessor)[1]
+                elif lane.predecessor is not None:
+                    yield from _to_road(start, road.predecessor, lane.predecessor, roads)
+                if lane.successor is not None and number < last:
+                    yield end, _ends(road, number + 1, lane.successor)[0]
+                elif lane.successor is not None:
+                    yield from _to_road(end, road.successor, lane.successor, roads)
     for connection in drive.connections:
         yield from _in_junction(connection, roads)
 

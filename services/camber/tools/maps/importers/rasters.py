@@ -23,9 +23,9 @@ from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import whole_from
+from camber.tools.options.parsers import add_with_default
 
 _WINDOW = 1024  # chosen: cells read at a time, 8 MB
 _SPACING_M = (0.25, 4.0)
@@ -34,18 +34,10 @@ _SPACING_M = (0.25, 4.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a raster needs."""
     parser.add_argument("file", type=Path, metavar="FILE.tif")
-    parser.add_argument(
-        "--band",
-        type=whole_from(1, 65_535),
-        default=1,
-        help="that holds heights in metres (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--level",
-        type=whole_from(-MAX_LEVEL, MAX_LEVEL),
-        default=0,
-        help="of the roads that the raster shows (default: %(default)s)",
-    )
+    text = "that holds heights in metres"
+    add_with_default(parser, "--band", 1, text, type=whole_from(1, 65_535))
+    text, levels = "of the roads that the raster shows", whole_from(-MAX_LEVEL, MAX_LEVEL)
+    add_with_default(parser, "--level", 0, text, type=levels)
     add_road_arguments(parser)
     add_height_arguments(parser)
 
@@ -75,20 +67,13 @@ def build(args: argparse.Namespace) -> BuiltMap:
         remarks.append(f"{len(roads.links) - len(shown.links)} links of other levels get no surfaces")
     if bare:
         remarks.append(f"{bare} links lie where the raster has no data: no surfaces")
-    return BuiltMap(
-        surfaces=surfaces,
-        links=roads.links,
-        lineage=lineage(surfaces, args.previous_release),
-        surrogate=vertical.surrogate,
-        remarks=remarks,
-    )
+    return BuiltMap(surfaces=surfaces, links=roads.links, surrogate=vertical.surrogate, remarks=remarks)
 
 
 def _of_level(roads: RoadCentreLines, level: int) -> RoadCentreLines:
     links, rows = roads.links, np.flatnonzero(roads.links.level == level)
-    columns = {
-        name: getattr(links, name)[rows] for name in ("link_id", "start_node", "end_node", "level", "sigma_m")
-    }
+    names = ("link_id", "start_node", "end_node", "level", "sigma_m")
+    columns = {name: getattr(links, name)[rows] for name in names}
     selected = RoadLinks(**columns, vertices=[links.vertices[row] for row in rows.tolist()])
     return RoadCentreLines(selected, roads.half_width_m[rows])
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.tile_grid import tile_frame, tile_of
-from camber.tools.maps.importers.lanes import named_id
+from camber.tools.maps.importers.lanes import distance_along, named_id, quantized_degrees
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -147,7 +147,7 @@ def _pieces(roads: RoadCentreLines, row: int, spacing_m: float) -> Iterator[_Roa
 
 def resampled(line_m: Floats, step_m: float) -> Floats:
     """A line (k, 2) as points at equal distances of at most `step_m` along it; empty where it has no length."""
-    along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
+    along_m = distance_along(line_m)
     if along_m[-1] <= 0.0:
         return np.zeros((0, 2))
     at_m = np.linspace(0.0, along_m[-1], math.ceil(along_m[-1] / step_m) + 1)
@@ -220,7 +220,7 @@ class _KnownPatch:
 
     def surface_id(self, links: RoadLinks) -> int:
         """The same for the same part of the same line, whatever its height is."""
-        line = np.rint(np.degrees(links.vertices[self.piece.row]) * 1e8).astype(np.int64).tolist()
+        line = quantized_degrees(links.vertices[self.piece.row])
         begin_m = self.centre_m[0] - self.half_length_m - float(self.piece.along_m[0])
         link_id = int(links.link_id[self.piece.row])
         return named_id("surface", link_id, line, self.piece.number, int(begin_m + 1e-6))

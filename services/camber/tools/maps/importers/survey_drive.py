@@ -17,16 +17,15 @@ from camber.formats.drive.recording import load_recording
 from camber.formats.drive.truth_csv import read_truth
 from camber.formats.errors import FormatError
 from camber.geodesy.local_frame import LocalFrame
-from camber.replay.coarse_links import PlaneLinks, coarse_links
+from camber.replay.coarse_links import coarse_links
 from camber.replay.road_lines import RoadLines, road_lines
-from camber.road_map.road_columns import RoadLinks
 from camber.schemas.antenna import AntennaHeight
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.lane_map import lineage
-from camber.tools.maps.importers.lanes import named_id
+from camber.tools.maps.importers.lanes import named_links
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.maps.importers.track_heights import TrackHeights
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
+from camber.tools.options.parsers import add_with_default
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _MAP_FREE = ("fixed", "stroke", "ranging")
@@ -51,40 +50,20 @@ class RoadTrack:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a drive needs."""
-    parser.add_argument(
-        "drive", type=Path, metavar="PATH", help="folder of a replay (recording.mcap), or a truth.csv"
+    text = "folder of a replay (recording.mcap), or a truth.csv"
+    parser.add_argument("drive", type=Path, metavar="PATH", help=text)
+    height_m, text = number_from(0.1, 20.0, "m"), "above the road; else as recorded"
+    parser.add_argument("--antenna-height-m", type=height_m, metavar="H", help=text)
+    sigma = {"type": HEIGHT_SIGMA, "metavar": "S"}
+    add_with_default(parser, "--antenna-sigma-m", 0.01, "its σ", **sigma)
+    add_with_default(parser, "--position-sigma-m", 0.02, "σ of heights that do not say theirs", **sigma)
+    add_with_default(
+        parser, "--width-m", 3.0, "of the surfaces", type=number_from(0.5, 20.0, "m"), metavar="W"
     )
-    parser.add_argument(
-        "--antenna-height-m",
-        type=number_from(0.1, 20.0, "m"),
-        metavar="H",
-        help="above the road; else as recorded",
-    )
-    parser.add_argument(
-        "--antenna-sigma-m", type=HEIGHT_SIGMA, default=0.01, metavar="S", help="its σ (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--position-sigma-m", type=HEIGHT_SIGMA, default=0.02, metavar="S",
-        help="σ of heights that do not say theirs (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--width-m",
-        type=number_from(0.5, 20.0, "m"),
-        default=3.0,
-        metavar="W",
-        help="of the surfaces (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--spacing-m",
-        type=number_from(0.1, 20.0, "m"),
-        default=2.0,
-        metavar="D",
-        help="between their heights",
-    )
-    parser.add_argument(
-        "--reach-m", type=number_from(1.0, 50.0, "m"), default=4.0, metavar="D",
-        help="how far along the road a position speaks for it: half the way between two (default: %(default)s)",
-    )  # fmt: skip
+    text, spacing_m = "between their heights", number_from(0.1, 20.0, "m")
+    add_with_default(parser, "--spacing-m", 2.0, text, type=spacing_m, metavar="D")
+    text = "how far along the road a position speaks for it: half the way between two"
+    add_with_default(parser, "--reach-m", 4.0, text, type=number_from(1.0, 50.0, "m"), metavar="D")
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -95,16 +74,10 @@ def build(args: argparse.Namespace) -> BuiltMap:
         roads.roads, roads.ground, spacing_m=args.spacing_m, seen_ns=track.last_ns, vehicles=1
     )
     if not len(surfaces):
-        raise FormatError(
-            str(args.drive), "track", f"positions nearer to one another than {args.reach_m:g} m"
-        )
+        expected = f"positions nearer to one another than {args.reach_m:g} m"
+        raise FormatError(str(args.drive), "track", expected)
     remarks = [f"{args.drive}: {len(track)} positions, {roads.lines.distance_m[-1]:.0f} m"]
-    return BuiltMap(
-        surfaces=surfaces,
-        links=roads.roads.links,
-        lineage=lineage(surfaces, args.previous_release),
-        remarks=remarks,
-    )
+    return BuiltMap(surfaces=surfaces, links=roads.roads.links, remarks=remarks)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,7 +126,10 @@ def drive_roads(track: RoadTrack, file: str, width_m: float, reach_m: float) -> 
         reach_m=reach_m,
         half_width_m=0.5 * width_m,
     )
-    road_links = _road_links(links, frame)
+    vertices = [
+        np.column_stack(frame.geodetic_from_east_north_array(line, 0.0)[:2]) for line in links.vertices_m
+    ]
+    road_links = named_links("drive", vertices, level=links.level, sigma_m=_LINK_SIGMA_M)
     return DriveRoads(
         roads=RoadCentreLines(road_links, np.full(len(road_links), 0.5 * width_m)),
         lines=lines,
@@ -171,21 +147,6 @@ def _moved(plane_m: Floats) -> Integers:
             kept.append(row)
             last = plane_m[row]
     return np.array(kept)
-
-
-def _road_links(links: PlaneLinks, frame: LocalFrame) -> RoadLinks:
-    vertices = [
-        np.column_stack(frame.geodetic_from_east_north_array(line, 0.0)[:2]) for line in links.vertices_m
-    ]
-    places = [np.rint(np.degrees(line) * 1e8).astype(np.int64).tolist() for line in vertices]
-    return RoadLinks(
-        link_id=np.array([named_id("drive", line) for line in places]),
-        start_node=np.array([named_id("node", line[0]) for line in places]),
-        end_node=np.array([named_id("node", line[-1]) for line in places]),
-        level=links.level,
-        sigma_m=np.full(len(vertices), _LINK_SIGMA_M),
-        vertices=vertices,
-    )
 
 
 def _csv_track(args: argparse.Namespace) -> RoadTrack:
@@ -208,33 +169,20 @@ def _replay_track(args: argparse.Namespace) -> RoadTrack:
     """Raises FormatError where nothing was confirmed, or the antenna's height is not known beside it."""
     path = args.drive / "recording.mcap" if args.drive.is_dir() else args.drive
     messages, _ = load_recording(path, ("verdict", "antenna_height"))
-    antenna = [
-        m.message
-        for m in messages["antenna_height"]
-        if m.message.way in _MAP_FREE and m.message.height_m is not None
-    ]
+    heights = (m.message for m in messages["antenna_height"])
+    antenna = [each for each in heights if each.way in _MAP_FREE and each.height_m is not None]
     antenna_ns = np.array([message.time_ns for message in antenna], np.int64)
     rows = []
     for verdict in (m.message for m in messages["verdict"]):
         if verdict.verdict not in _CONFIRMED or verdict.latitude_rad is None or verdict.height_m is None:
             continue
         height = _antenna_at(args, antenna, antenna_ns, verdict.time_ns)
-        if height is not None:
-            up2 = (
-                args.position_sigma_m**2
-                if verdict.covariance_enu_m2 is None
-                else verdict.covariance_enu_m2[5]
-            )
-            sigma = math.sqrt(up2 + height[1] ** 2)
-            rows.append(
-                (
-                    verdict.time_ns,
-                    verdict.latitude_rad,
-                    verdict.longitude_rad,
-                    verdict.height_m - height[0],
-                    sigma,
-                )
-            )
+        if height is None:
+            continue
+        covariance, road_m = verdict.covariance_enu_m2, verdict.height_m - height[0]
+        up2 = args.position_sigma_m**2 if covariance is None else covariance[5]
+        place = (verdict.latitude_rad, verdict.longitude_rad, road_m, math.sqrt(up2 + height[1] ** 2))
+        rows.append((verdict.time_ns, *place))
     if len(rows) < 2:
         expected = "at least two confirmed positions with an antenna height that does not rest on the map"
         raise FormatError(str(path), "verdicts", expected, actual=str(len(rows)))
