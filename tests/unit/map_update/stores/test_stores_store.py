@@ -66,11 +66,6 @@ def test_an_upload_is_stored_once_and_then_a_duplicate_also_after_a_restart(data
     assert again.counts() == (1, 1)
 
 
-def test_a_repetition_within_one_group_is_a_duplicate(store):
-    assert committed(store, contribution("u1"), contribution("u1")) == ["stored", "duplicate"]
-    assert store.counts() == (1, 1)
-
-
 def test_other_contents_under_a_stored_id_are_refused_and_what_is_stored_stays(store):
     committed(store, contribution("u1", height_m=40.0))
     (outcome,) = store.commit([contribution("u1", height_m=41.0)], NOW_NS, take_all)
@@ -85,13 +80,6 @@ def test_ids_of_two_vehicles_and_of_uploads_and_batches_are_apart(store):
     same = [contribution("x"), contribution("x", vehicle="v2"), contribution("x", kind="batch")]
     assert committed(store, *same) == ["stored"] * 3
     assert names_in(store) == [("v1", "upload", "x"), ("v2", "upload", "x"), ("v1", "batch", "x")]
-
-
-def test_a_refused_upload_is_not_stored_and_the_others_of_its_group_are(store):
-    group = [contribution("u1"), contribution("bad", datum="Tokyo"), contribution("u2")]
-    assert committed(store, *group, judge=refuse_tokyo) == ["stored", "refused", "stored"]
-    assert store.counts() == (2, 2)
-    assert committed(store, contribution("bad")) == ["stored"]
 
 
 def test_what_is_stored_stays_a_duplicate_when_it_would_be_refused_today(store):
