@@ -17,6 +17,7 @@ from camber.road_map.release import ROOT_NAME
 from camber.road_map.tile_grid import tile_of
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
+from camber.schemas.base import Message
 from camber.schemas.fleet import ReleaseHead
 from camber.schemas.pose import Road
 from camber.schemas.road import (
@@ -46,30 +47,22 @@ class Server:
             self.bus.time_ns += int(seconds / rounds * 1e9)
             self.service.advance(self.bus.time_ns)
 
-    def road(self, east_m: float = 0.0, north_m: float = 0.0, **topology: Any) -> Road:
-        latitude, longitude = at(east_m, north_m)
-        request = ElevationRequest(
-            time_ns=self.bus.time_ns, latitude_rad=latitude, longitude_rad=longitude, **topology
-        )
-        (reply,) = self.answers["elevation"]([request])
+    def ask(self, channel: str, request: type[Message], **fields: Any) -> Any:
+        (reply,) = self.answers[channel]([request(time_ns=self.bus.time_ns, **fields)])
         assert reply is not None
         assert reply.time_ns == self.bus.time_ns
-        return cast(Road, reply.road)  # type: ignore[attr-defined]
+        return reply
+
+    def road(self, east_m: float = 0.0, north_m: float = 0.0, **fields: Any) -> Road:
+        return cast(Road, self.ask("elevation", ElevationRequest, **place(east_m, north_m), **fields).road)
 
     def links(self) -> LinksReply:
-        latitude, longitude = at(0.0, 0.0)
-        request = LinksRequest(
-            time_ns=self.bus.time_ns, latitude_rad=latitude, longitude_rad=longitude, radius_m=50.0
-        )
-        (reply,) = self.answers["links"]([request])
-        return cast(LinksReply, reply)
+        return cast(LinksReply, self.ask("links", LinksRequest, **place(), radius_m=50.0))
 
-    def tile(self, layer: Layer = "surfaces", **changed: Any) -> TileReply:
+    def tile(self, layer: Layer = "surfaces", **fields: Any) -> TileReply:
         tile = tile_of(FRAME.latitude_rad, FRAME.longitude_rad)
         assert tile is not None
-        fields = {"time_ns": self.bus.time_ns, "x": tile[0], "y": tile[1], "layer": layer}
-        (reply,) = self.answers["tile"]([TileRequest(**fields | changed)])
-        return cast(TileReply, reply)
+        return cast(TileReply, self.ask("tile", TileRequest, x=tile[0], y=tile[1], layer=layer, **fields))
 
     def assert_unknown(self, reason: str) -> None:
         assert self.road() == Road(status="unknown", reason=reason)
@@ -78,9 +71,18 @@ class Server:
         assert not self.service.healthy()
 
 
+def place(east_m: float = 0.0, north_m: float = 0.0) -> dict[str, float]:
+    return dict(zip(("latitude_rad", "longitude_rad"), at(east_m, north_m), strict=True))
+
+
+def served(folder: Path, **settings: Any) -> Server:
+    """A server of a release of one surface and one link."""
+    write(folder, [surface(5)], [LINK])
+    return Server(folder, **settings)
+
+
 def test_a_good_release_is_served(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)], [LINK])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     assert server.road().elevation_m == pytest.approx(50.0)
     assert server.road(500.0).reason == "no_surface"
     assert server.links().link_id.tolist() == [1]
@@ -100,8 +102,7 @@ def test_a_good_release_is_served(tmp_path: Path) -> None:
 def test_queries_of_one_group_are_answered_in_order(tmp_path: Path) -> None:
     write(tmp_path, [surface(5), surface(6, 100.0)])
     server = Server(tmp_path)
-    points = [at(100.0, 0.0), at(0.0, 0.0)]
-    requests = [ElevationRequest(time_ns=MADE_NS, latitude_rad=p[0], longitude_rad=p[1]) for p in points]
+    requests = [ElevationRequest(time_ns=MADE_NS, **place(east_m)) for east_m in (100.0, 0.0)]
     replies = server.answers["elevation"](requests)
     assert [cast(Any, reply).road.surface_id for reply in replies] == [6, 5]
 
@@ -109,18 +110,13 @@ def test_queries_of_one_group_are_answered_in_order(tmp_path: Path) -> None:
 def test_places_ahead_are_answered_where_the_road_is_known(tmp_path: Path) -> None:
     write(tmp_path, [surface(5), surface(6, 20.0, heights_m=50.04)])
     server = Server(tmp_path)
-    point = at(0.0, 0.0)
     places = Places(east_m=np.array([20.0, 190.0, 1.0]), north_m=np.zeros(3))
-    request = ElevationRequest(time_ns=MADE_NS, latitude_rad=point[0], longitude_rad=point[1], ahead=places)
-    (reply,) = server.answers["elevation"]([request])
-    ahead = cast(Any, reply).ahead
+    ahead = server.ask("elevation", ElevationRequest, **place(), ahead=places).ahead
     assert ahead.place.tolist() == [0, 2]
     assert ahead.surface_id.tolist() == [6, 5]
     assert ahead.elevation_m == pytest.approx([50.04, 50.0], abs=1e-4)
-    far = request.model_copy(update={"latitude_rad": at(0.0, 300.0)[0]})
-    (reply,) = server.answers["elevation"]([far])
-    assert cast(Any, reply).road.status == "unknown"
-    assert cast(Any, reply).ahead is None
+    far = server.ask("elevation", ElevationRequest, **place(0.0, 300.0), ahead=places)
+    assert (far.road.status, far.ahead) == ("unknown", None)
 
 
 def test_without_a_release_nothing_is_known_until_it_comes(tmp_path: Path) -> None:
@@ -137,9 +133,8 @@ def test_another_datum_makes_everything_unknown(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)], [LINK], datum="JGD2011")
     server = Server(tmp_path)
     server.assert_unknown("datum_mismatch")
-    assert [text for code, text in server.bus.issues if code == "datum_mismatch"] == [
-        f"{tmp_path / ROOT_NAME}: datum is 'JGD2011', expected WGS84"
-    ]
+    text = f"{tmp_path / ROOT_NAME}: datum is 'JGD2011', expected WGS84"
+    assert server.bus.issues == [("datum_mismatch", text)]
     assert Server(tmp_path, datum="JGD2011").road().datum == "JGD2011"
     # The mismatch is a state, not an event: it is still there at the next question and after the next look.
     server.wait(200.0, rounds=50)
@@ -147,8 +142,7 @@ def test_another_datum_makes_everything_unknown(tmp_path: Path) -> None:
 
 
 def test_a_release_of_another_datum_does_not_replace_a_good_one(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     write(tmp_path, [surface(5)], datum="JGD2011", map_version=8)
     server.wait(3.0)
     assert server.road().map_version == 7
@@ -156,8 +150,7 @@ def test_a_release_of_another_datum_does_not_replace_a_good_one(tmp_path: Path) 
 
 
 def test_a_stale_release_is_unknown(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)], [LINK])
-    server = Server(tmp_path, max_age_days=30.0)
+    server = served(tmp_path, max_age_days=30.0)
     assert server.road().status == "known"
     server.bus.time_ns = MADE_NS + 30 * DAY_NS
     assert server.road().status == "known"
@@ -168,8 +161,7 @@ def test_a_stale_release_is_unknown(tmp_path: Path) -> None:
 
 
 def test_a_release_from_the_future_has_no_age(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)], [LINK])
-    server = Server(tmp_path, max_age_days=30.0)
+    server = served(tmp_path, max_age_days=30.0)
     server.bus.time_ns = MADE_NS - 2 * DAY_NS
     server.assert_unknown("map_stale")
     without_limit = Server(tmp_path)
@@ -181,9 +173,8 @@ def test_a_signature_is_required_where_a_key_is_set(tmp_path: Path) -> None:
     key = tmp_path / "release.pub"
     key.write_bytes(KEY.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
     write(tmp_path / "signed", [surface(5)], [LINK], signing_key=KEY)
-    write(tmp_path / "unsigned", [surface(5)], [LINK])
     assert Server(tmp_path / "signed", public_key=key).road().status == "known"
-    Server(tmp_path / "unsigned", public_key=key).assert_unknown("map_missing")
+    served(tmp_path / "unsigned", public_key=key).assert_unknown("map_missing")
 
 
 def test_a_key_that_cannot_be_read_ends_the_start(tmp_path: Path) -> None:
@@ -193,8 +184,7 @@ def test_a_key_that_cannot_be_read_ends_the_start(tmp_path: Path) -> None:
 
 
 def test_a_new_release_is_taken_while_the_old_one_answers(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)])
-    server = Server(tmp_path, verify_bytes=1)
+    server = served(tmp_path, verify_bytes=1)
     write(tmp_path, [surface(5 + i, 700.0 * i, heights_m=51.0) for i in range(5)], map_version=8)
     server.wait(1.0)
     assert server.road().map_version == 7
@@ -208,8 +198,7 @@ def test_a_new_release_is_taken_while_the_old_one_answers(tmp_path: Path) -> Non
 
 
 def test_a_bad_new_release_leaves_the_old_one_and_is_tried_again(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     before = set(tmp_path.rglob("*"))
     write(tmp_path, [surface(5, heights_m=51.0)], map_version=8)
     late = {p: p.read_bytes() for p in set(tmp_path.rglob("*")) - before if p.is_file()}
@@ -235,8 +224,7 @@ def test_a_clock_set_back_does_not_stop_the_checks(tmp_path: Path) -> None:
 
 
 def test_a_tile_that_is_damaged_under_the_service_is_unknown(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)], [LINK])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     for path in (tmp_path / "blobs").glob("*/*"):
         path.write_bytes(path.read_bytes()[:-1] + b"\x7f")
     server.assert_unknown("map_missing")
@@ -246,9 +234,9 @@ def test_a_tile_that_is_damaged_under_the_service_is_unknown(tmp_path: Path) -> 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_damaged_release_never_makes_a_road_known_from_altered_data(tmp_path: Path, seed: int) -> None:
     write(tmp_path, [surface(5), surface(6, 0.0, 0.0, link_id=2, level=1, heights_m=56.0)], [LINK])
-    places = [{"link_ids": (1,)}, {"link_ids": (2,)}, {}, {"last_surface_id": 5}]
+    topologies = [{"link_ids": (1,)}, {"link_ids": (2,)}, {}, {"last_surface_id": 5}]
     good_server = Server(tmp_path)
-    want = [good_server.road(**place) for place in places]
+    want = [good_server.road(**topology) for topology in topologies]
     assert [answer.status for answer in want] == ["known", "known", "unknown", "known"]
     files = sorted(p for p in tmp_path.rglob("*") if p.is_file())
     rng = random.Random(seed)
@@ -259,8 +247,8 @@ def test_a_damaged_release_never_makes_a_road_known_from_altered_data(tmp_path: 
         bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
         path.write_bytes(bad if rng.random() < 0.8 else bad[: rng.randrange(len(bad))])
         server = Server(tmp_path)
-        for place, road in zip(places, want, strict=True):
-            assert server.road(**place) in (road, Road(status="unknown", reason="map_missing"))
+        for topology, road in zip(topologies, want, strict=True):
+            assert server.road(**topology) in (road, Road(status="unknown", reason="map_missing"))
         path.write_bytes(good)
 
 
@@ -270,8 +258,7 @@ def test_a_surrogate_map_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_newer_release_elsewhere_is_reported(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     on_release = server.service.handlers()["release"]
     for version, region in ((7, "test"), (6, "test"), (8, "test")):
         assert "release_behind" not in server.bus.codes()
@@ -280,8 +267,7 @@ def test_a_newer_release_elsewhere_is_reported(tmp_path: Path) -> None:
 
 
 def test_the_root_vanishing_changes_no_answer_but_health(tmp_path: Path) -> None:
-    write(tmp_path, [surface(5)])
-    server = Server(tmp_path)
+    server = served(tmp_path)
     (tmp_path / ROOT_NAME).unlink()
     server.wait(3.0)
     assert server.road().status == "known"
