@@ -42,43 +42,46 @@ GNSS_TIME_SCALES = {
     "C": GnssTimeScale(first_gps_week=1356, gps_offset_ns=GPS_MINUS_BDT_NS, weeks=8192),
 }
 
+
+def _unsigned(**widths: int) -> dict[str, BitField]:
+    return {name: BitField(width) for name, width in widths.items()}
+
+
+def _signed(**fields: tuple[int, float]) -> dict[str, BitField]:
+    return {name: BitField(width, resolution, signed=True) for name, (width, resolution) in fields.items()}
+
+
 _CYCLIC = BitField(32, math.pi * 2.0**-31, signed=True, cyclic=True)
 _ORBIT = {
     "sqrt_a": BitField(32, 2.0**-19),
     "eccentricity": BitField(32, 2.0**-33),
-    "inclination_rad": BitField(32, math.pi * 2.0**-31, signed=True),
-    "inclination_rate_rad_s": BitField(14, math.pi * 2.0**-43, signed=True),
-    "ascending_node_rad": _CYCLIC,
-    "ascending_node_rate_rad_s": BitField(24, math.pi * 2.0**-43, signed=True),
-    "perigee_rad": _CYCLIC,
-    "mean_anomaly_rad": _CYCLIC,
-    "mean_motion_difference_rad_s": BitField(16, math.pi * 2.0**-43, signed=True),
+    **dict.fromkeys(("ascending_node_rad", "perigee_rad", "mean_anomaly_rad"), _CYCLIC),
+    **_signed(
+        inclination_rad=(32, math.pi * 2.0**-31),
+        inclination_rate_rad_s=(14, math.pi * 2.0**-43),
+        ascending_node_rate_rad_s=(24, math.pi * 2.0**-43),
+        mean_motion_difference_rad_s=(16, math.pi * 2.0**-43),
+    ),
 }
 
 
 def _harmonics(width: int, angle: float, length_m: float) -> dict[str, BitField]:
-    angles = {name: BitField(width, angle, signed=True) for name in ("cuc", "cus", "cic", "cis")}
-    return angles | {name: BitField(width, length_m, signed=True) for name in ("crc_m", "crs_m")}
+    angles = dict.fromkeys(("cuc", "cus", "cic", "cis"), BitField(width, angle, signed=True))
+    return angles | dict.fromkeys(("crc_m", "crs_m"), BitField(width, length_m, signed=True))
+
+
+def _times(width: int, resolution_s: float) -> dict[str, BitField]:
+    return dict.fromkeys(("toe_s", "toc_s"), BitField(width, resolution_s))
 
 
 _GPS = {
     **_ORBIT,
     **_harmonics(16, 2.0**-29, 2.0**-5),
-    "satellite": BitField(6),
-    "week": BitField(10),
-    "toe_s": BitField(16, 16.0),
-    "toc_s": BitField(16, 16.0),
-    "af0_s": BitField(22, 2.0**-31, signed=True),
-    "af1": BitField(16, 2.0**-43, signed=True),
-    "af2": BitField(8, 2.0**-55, signed=True),
-    "iode": BitField(8),
-    "iodc": BitField(10),
-    "accuracy": BitField(4),
-    "health": BitField(6),
-    "tgd_s": BitField(8, 2.0**-31, signed=True),
-    "fit": BitField(1),
-    "codes_on_l2": BitField(2),
-    "l2_p_data": BitField(1),
+    **_times(16, 16.0),
+    **_signed(af0_s=(22, 2.0**-31), af1=(16, 2.0**-43), af2=(8, 2.0**-55), tgd_s=(8, 2.0**-31)),
+    **_unsigned(
+        satellite=6, week=10, iode=8, iodc=10, accuracy=4, health=6, fit=1, codes_on_l2=2, l2_p_data=1
+    ),
 }
 FIELDS: dict[str, dict[str, BitField]] = {
     "G": _GPS,
@@ -86,40 +89,19 @@ FIELDS: dict[str, dict[str, BitField]] = {
     "E": {
         **_ORBIT,
         **_harmonics(16, 2.0**-29, 2.0**-5),
-        "satellite": BitField(6),
-        "week": BitField(12),
-        "toe_s": BitField(14, 60.0),
-        "toc_s": BitField(14, 60.0),
-        "af0_s": BitField(31, 2.0**-34, signed=True),
-        "af1": BitField(21, 2.0**-46, signed=True),
-        "af2": BitField(6, 2.0**-59, signed=True),
-        "iode": BitField(10),
-        "accuracy": BitField(8),
-        "bgd_e5a_s": BitField(10, 2.0**-32, signed=True),
-        "bgd_e5b_s": BitField(10, 2.0**-32, signed=True),
-        "e1b_invalid": BitField(1),
-        "e1b_health": BitField(2),
-        "e5a_invalid": BitField(1),
-        "e5a_health": BitField(2),
-        "e5b_invalid": BitField(1),
-        "e5b_health": BitField(2),
+        **_times(14, 60.0),
+        **_signed(af0_s=(31, 2.0**-34), af1=(21, 2.0**-46), af2=(6, 2.0**-59)),
+        **_signed(bgd_e5a_s=(10, 2.0**-32), bgd_e5b_s=(10, 2.0**-32)),
+        **_unsigned(satellite=6, week=12, iode=10, accuracy=8),
+        **_unsigned(e1b_invalid=1, e1b_health=2, e5a_invalid=1, e5a_health=2, e5b_invalid=1, e5b_health=2),
     },
     "C": {
         **_ORBIT,
         **_harmonics(18, 2.0**-31, 2.0**-6),
-        "satellite": BitField(6),
-        "week": BitField(13),
-        "toe_s": BitField(17, 8.0),
-        "toc_s": BitField(17, 8.0),
-        "af0_s": BitField(24, 2.0**-33, signed=True),
-        "af1": BitField(22, 2.0**-50, signed=True),
-        "af2": BitField(11, 2.0**-66, signed=True),
-        "iode": BitField(5),
-        "aodc": BitField(5),
-        "accuracy": BitField(4),
-        "health": BitField(1),
-        "tgd1_s": BitField(10, 1e-10, signed=True),
-        "tgd2_s": BitField(10, 1e-10, signed=True),
+        **_times(17, 8.0),
+        **_signed(af0_s=(24, 2.0**-33), af1=(22, 2.0**-50), af2=(11, 2.0**-66)),
+        **_signed(tgd1_s=(10, 1e-10), tgd2_s=(10, 1e-10)),
+        **_unsigned(satellite=6, week=13, iode=5, aodc=5, accuracy=4, health=1),
     },
 }
 _SYSTEM_SPECIFIC = ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s")
@@ -230,11 +212,7 @@ def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: i
 
 def _attributes(fields: Mapping[str, BitField]) -> list[str]:
     """Return the fields that are attributes of `Ephemeris` with the same meaning."""
-    return [
-        name
-        for name in fields
-        if name in Ephemeris.__slots__ and name not in ("satellite", "health", "accuracy_m")
-    ]
+    return [name for name in fields if name in Ephemeris.__slots__ and name not in ("satellite", "health")]
 
 
 def _integer(name: str, value: float, field: BitField) -> int:

@@ -10,6 +10,7 @@ A sweep's file is named after the time of its end, `<time_ns>.pcd`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,9 +39,8 @@ class PointCloud:
 def pcd_bytes(cloud: PointCloud) -> bytes:
     """Return a binary file. Raises ValueError for columns of different lengths or numbers that are not finite."""
     n = len(cloud.points_m)
-    columns: list[tuple[str, str, _Array]] = [
-        (name, "<f4", cloud.points_m[:, axis]) for axis, name in enumerate("xyz")
-    ]
+    columns: list[tuple[str, str, _Array]]
+    columns = [(name, "<f4", cloud.points_m[:, axis]) for axis, name in enumerate("xyz")]
     if cloud.intensity is not None:
         columns.append(("intensity", "<f4", cloud.intensity))
     if cloud.offset_ns is not None:
@@ -51,17 +51,12 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
             raise ValueError(f"{name} has {len(column)} values, expected {n} finite ones")
         rows[name] = column
     header = [
-        "# .PCD v0.7 - Point Cloud Data file format",
-        "VERSION 0.7",
+        *("# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7"),
         f"FIELDS {' '.join(name for name, _, _ in columns)}",
         f"SIZE {' '.join('4' for _ in columns)}",
         f"TYPE {' '.join(kind[1].upper() for _, kind, _ in columns)}",
         f"COUNT {' '.join('1' for _ in columns)}",
-        f"WIDTH {n}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {n}",
-        "DATA binary",
+        *(f"WIDTH {n}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", "DATA binary"),
     ]
     return ("\n".join(header) + "\n").encode("ascii") + rows.tobytes()
 
@@ -113,12 +108,7 @@ def read_sweep(path: Path, sensor: str) -> Sweep:
 def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
     """Parse a file's bytes. Raises FormatError."""
     header = read_header(data, source_name)
-    if header.data == "ascii":
-        columns = _ascii_columns(data, header, source_name)
-    elif header.data == "binary":
-        columns = _binary_columns(data, header, source_name)
-    else:
-        columns = _compressed_columns(data, header, source_name)
+    columns = _READERS[header.data](data, header, source_name)
     points = np.empty((header.points, 3), np.float32)
     for axis, name in enumerate("xyz"):
         points[:, axis] = _narrowed(columns[header.names.index(name)], np.float32)
@@ -217,21 +207,20 @@ def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Ar
 def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_name: str) -> _Array:
     """Parse one field of every line, number by number, so that an error names its line."""
     dtype = np.dtype(kind)
+    is_float = dtype.kind == "f"
+    limits = None if is_float else np.iinfo(dtype)
     values: list[float] = []
     for number, text in enumerate(texts, start=header.lines + 1):
         try:
-            if "_" in text:  # Python's notation, not the format's
-                raise ValueError
-            if dtype.kind == "f":
-                values.append(float(text))
-            else:
-                whole = int(text) if len(text) < 25 else None
-                limits = np.iinfo(dtype)
-                if whole is None or not limits.min <= whole <= limits.max:
-                    raise ValueError
-                values.append(whole)
+            value = float(text) if is_float else int(text) if len(text) < 25 else math.inf
+            if "_" in text or (limits is not None and not limits.min <= value <= limits.max):
+                raise ValueError  # an underscore is Python's notation, not the format's
         except ValueError:
-            expected = "a number" if dtype.kind == "f" else f"an integer of {dtype.itemsize} bytes"
+            expected = "a number" if is_float else f"an integer of {dtype.itemsize} bytes"
             raise FormatError(source_name, name, expected, actual=text, line_number=number) from None
+        values.append(value)
     with np.errstate(over="ignore"):
         return np.array(values, dtype)
+
+
+_READERS = {"ascii": _ascii_columns, "binary": _binary_columns, "binary_compressed": _compressed_columns}

@@ -43,12 +43,17 @@ class _PlyElement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _PlyHeader:
-    """The data begin at byte `begin`, after `lines` lines."""
+    """Elements up to the vertices; the data begin at byte `begin`, after `lines` lines."""
 
     order: str
-    elements: list[_PlyElement]
+    before: list[_PlyElement]
+    vertex: _PlyElement
     begin: int
     lines: int
+
+    def row(self, element: _PlyElement) -> np.dtype[Any]:
+        """Return the layout of an element in a binary file."""
+        return np.dtype([(f"{k}", f"{self.order}{kind}") for k, kind in enumerate(element.kinds)])
 
 
 def read_ply(path: Path) -> Floats:
@@ -59,11 +64,7 @@ def read_ply(path: Path) -> Floats:
 def points_from_ply(data: bytes, source_name: str) -> Floats:
     """Parse points (n, 3) of a file's bytes. Raises FormatError."""
     header = _read_header(data, source_name)
-    before, vertex = _up_to_vertex(header, source_name)
-    if header.order:
-        points = _binary_points(data, header, before=before, vertex=vertex, source_name=source_name)
-    else:
-        points = _ascii_points(data, header, before=before, vertex=vertex, source_name=source_name)
+    points = (_binary_points if header.order else _ascii_points)(data, header, source_name)
     if np.isinf(points).any():
         raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
     kept: Floats = points[~np.isnan(points).any(axis=1)]
@@ -100,7 +101,15 @@ def _read_header(data: bytes, source_name: str) -> _PlyHeader:
             raise FormatError(source_name, "header", expected, actual=" ".join(words), line_number=number)
     if order is None:
         raise FormatError(source_name, "header", "a format")
-    return _PlyHeader(order=order, elements=elements, begin=begin, lines=number)
+    names = [element.name for element in elements]
+    if "vertex" not in names:
+        raise FormatError(source_name, "header", "an element vertex")
+    before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
+    if any(vertex.names.count(axis) != 1 for axis in "xyz"):
+        raise FormatError(source_name, "vertex", "x, y and z, each once")
+    if any(None in element.kinds for element in (*before, vertex)):
+        raise FormatError(source_name, "vertex", "no lists in it or before it")
+    return _PlyHeader(order=order, before=before, vertex=vertex, begin=begin, lines=number)
 
 
 def _is_count(text: str) -> bool:
@@ -116,24 +125,9 @@ def _add_property(element: _PlyElement, words: list[str], source_name: str, numb
     element.kinds.append(None if is_list else _KINDS[words[1]])
 
 
-def _up_to_vertex(header: _PlyHeader, source_name: str) -> tuple[list[_PlyElement], _PlyElement]:
-    names = [element.name for element in header.elements]
-    if "vertex" not in names:
-        raise FormatError(source_name, "header", "an element vertex")
-    place = names.index("vertex")
-    before, vertex = header.elements[:place], header.elements[place]
-    if any(vertex.names.count(axis) != 1 for axis in "xyz"):
-        raise FormatError(source_name, "vertex", "x, y and z, each once")
-    if any(None in element.kinds for element in (*before, vertex)):
-        raise FormatError(source_name, "vertex", "no lists in it or before it")
-    return before, vertex
-
-
-def _binary_points(
-    data: bytes, header: _PlyHeader, before: list[_PlyElement], vertex: _PlyElement, source_name: str
-) -> Floats:
-    begin = header.begin + sum(element.count * _row(element, header).itemsize for element in before)
-    row = _row(vertex, header)
+def _binary_points(data: bytes, header: _PlyHeader, source_name: str) -> Floats:
+    begin = header.begin + sum(element.count * header.row(element).itemsize for element in header.before)
+    vertex, row = header.vertex, header.row(header.vertex)
     want = row.itemsize * vertex.count
     if len(data) - begin < want:
         actual = f"{max(len(data) - begin, 0)} bytes"
@@ -143,14 +137,8 @@ def _binary_points(
     return np.column_stack(columns)
 
 
-def _row(element: _PlyElement, header: _PlyHeader) -> np.dtype[Any]:
-    return np.dtype([(f"{k}", f"{header.order}{kind}") for k, kind in enumerate(element.kinds)])
-
-
-def _ascii_points(
-    data: bytes, header: _PlyHeader, before: list[_PlyElement], vertex: _PlyElement, source_name: str
-) -> Floats:
-    first = sum(element.count for element in before)
+def _ascii_points(data: bytes, header: _PlyHeader, source_name: str) -> Floats:
+    vertex, first = header.vertex, sum(element.count for element in header.before)
     lines = data[header.begin :].decode("latin-1").split("\n")
     rows = lines[first : first + vertex.count]
     if len(rows) < vertex.count or (rows and not rows[-1].strip()):

@@ -28,7 +28,7 @@ class IntegrityReport:
         self, time_ns: int, levels_m: tuple[float, float] | None, risk: float | None
     ) -> None:
         """NAV-PL: horizontal and vertical level, None where invalid."""
-        horizontal, vertical = (None, None) if levels_m is None else levels_m
+        horizontal, vertical = levels_m or (None, None)
         self._reports["protection"] = (
             time_ns,
             {
@@ -40,19 +40,18 @@ class IntegrityReport:
 
     def update_fix(self, time_ns: int, *, within_masks: bool, authenticated: bool) -> None:
         """NAV-PVT. Not authenticated is unknown: receivers that cannot check report the same."""
-        content = {
-            "fix_within_masks": "yes" if within_masks else "no",
-            "authenticated": "yes" if authenticated else "unknown",
-        }
-        self._reports["fix"] = time_ns, content
+        self._reports["fix"] = (
+            time_ns,
+            {
+                "fix_within_masks": "yes" if within_masks else "no",
+                "authenticated": "yes" if authenticated else "unknown",
+            },
+        )
 
     def update_signal_security(self, time_ns: int, *, jamming: int, spoofing: int) -> None:
         """SEC-SIG: numbers of the states, 0 where detection is disabled."""
-        content: dict[str, Any] = {
-            "jamming": jamming,
-            "spoofing": _SPOOFING[spoofing] if spoofing < 4 else "unknown",
-        }
-        self._reports["signals"] = time_ns, content
+        state = _SPOOFING[spoofing] if spoofing < len(_SPOOFING) else "unknown"
+        self._reports["signals"] = time_ns, {"jamming": jamming, "spoofing": state}
 
     def update_front_ends(self, time_ns: int, jamming: list[int]) -> None:
         """MON-RF: the state of each block. With one unknown, the absence of jamming is unknown."""
@@ -61,13 +60,11 @@ class IntegrityReport:
 
     def update_fault_detection(self, time_ns: int, gbs: Gbs) -> None:
         """GBS. Failed: with a suspect satellite, used in the position or not. Passed: with expected errors only."""
-        raim = "unknown" if gbs.expected_error_enu_m is None else "passed"
-        if gbs.satellite is not None:
-            raim = "failed"
+        passed = "unknown" if gbs.expected_error_enu_m is None else "passed"
         self._reports["fault_detection"] = (
             time_ns,
             {
-                "raim": raim,
+                "raim": passed if gbs.satellite is None else "failed",
                 "expected_error_enu_m": gbs.expected_error_enu_m,
                 "suspect_satellite": gbs.satellite,
                 "suspect_bias_m": gbs.bias_m,

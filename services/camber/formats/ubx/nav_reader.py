@@ -51,9 +51,9 @@ _OLD_RELPOSNED = _MessageLayout(
 )
 _PL = _MessageLayout("BBb2B11x3I24x", "version tmirCoeff tmirExp plPosValid plPosFrame plPos1 plPos2 plPos3")
 _COV = struct.Struct("<4x3B9x12f")
-_UNKNOWN_ACCURACY = 0xFFFFFFFF  # reported by receivers; the interface description does not define it
-# Greatest age [s] by `lastCorrectionAge`; 12 is older than the last.
-_AGES_S = (None, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 120.0)
+UNKNOWN_ACCURACY = 0xFFFFFFFF  # reported by receivers; the interface description does not define it
+AGES_S = (math.nan, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 120.0)
+"""Greatest age by `lastCorrectionAge`; 0 is "not available", 12 is older than the last."""
 # `fixType`: 3 is 3D, 4 GNSS with dead reckoning; 2, 2D, has an assumed height.
 _DEAD_RECKONING = 1
 _POSITION_TYPES = (_DEAD_RECKONING, 3, 4)
@@ -166,7 +166,7 @@ def read_position_velocity_time(payload: bytes) -> PositionVelocityTime:
             vertical_m=_accuracy_m(values["vAcc"], 1e3),
         ),
         velocity_enu_m_s=(values["velE"] / 1e3, values["velN"] / 1e3, -values["velD"] / 1e3),
-        age_s=_AGES_S[age] if age < len(_AGES_S) else None,
+        age_s=AGES_S[age] if 0 < age < len(AGES_S) else None,
     )
 
 
@@ -273,7 +273,7 @@ def _position(
 
 def _accuracy_m(value: int, per_m: float) -> float | None:
     """Return the accuracy; None for all ones and for zero, which no receiver means."""
-    return value / per_m if 0 < value < _UNKNOWN_ACCURACY else None
+    return value / per_m if 0 < value < UNKNOWN_ACCURACY else None
 
 
 def _enu_from_ned(covariance: list[float]) -> EnuCovariance | None:

@@ -9,18 +9,15 @@ import math
 import struct
 
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.formats.ubx.nav_reader import HPPOSLLH, PVT
+from camber.formats.ubx.nav_reader import AGES_S, HPPOSLLH, PVT, UNKNOWN_ACCURACY
 from camber.formats.ubx.writer import ubx_frame
 from camber.geodesy.angles import heading_from_yaw
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import utc_from_gps_ns, week_tow_from_gps_ns
 
-_UNKNOWN_ACCURACY = 0xFFFFFFFF  # as receivers report it
 _UNKNOWN_DOP = 9999  # 99.99, as receivers report it
 _NS_PER_MS = 1_000_000  # unit
 _MAX_HEADING_ACCURACY = 18_000_000  # 180° in units of 1e-5°
-# Greatest age [s] of each code of `lastCorrectionAge`; 0 is "not available", 12 is older.
-_AGES_S = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)
 _DIFFERENTIAL = (SolutionQuality.FIX, SolutionQuality.FLOAT, SolutionQuality.SBAS, SolutionQuality.DGPS)
 _CARRIER = {SolutionQuality.FLOAT: 1, SolutionQuality.FIX: 2}
 
@@ -33,7 +30,7 @@ def format_position_velocity_time(solution: ReceiverSolution, *, geoid_separatio
     """
     utc = utc_from_gps_ns(solution.time_ns)
     east, north, up = solution.velocity_enu_m_s or (0.0, 0.0, 0.0)
-    speed_accuracy, heading_accuracy = _UNKNOWN_ACCURACY, _MAX_HEADING_ACCURACY
+    speed_accuracy, heading_accuracy = UNKNOWN_ACCURACY, _MAX_HEADING_ACCURACY
     ground_m_s = math.hypot(east, north)
     if solution.velocity_enu_m_s is not None and solution.velocity_covariance_enu_m2_s2 is not None:
         ee, _, _, nn, _, uu = solution.velocity_covariance_enu_m2_s2
@@ -46,7 +43,7 @@ def format_position_velocity_time(solution: ReceiverSolution, *, geoid_separatio
         heading = _scaled(math.degrees(heading_from_yaw(math.atan2(north, east))) % 360.0, 1e5)
     dead_reckoning = solution.quality is SolutionQuality.DEAD_RECKONING
     flags = 0b1 | (0b10 if solution.quality in _DIFFERENTIAL else 0) | _CARRIER.get(solution.quality, 0) << 6
-    age = 0 if solution.age_s is None else 1 + sum(solution.age_s >= limit for limit in _AGES_S)
+    age = 0 if solution.age_s is None else 1 + sum(solution.age_s >= limit for limit in AGES_S[1:-1])
     payload = struct.pack(
         "<IH5BBIiBBBBiiiiIIiiiiiIIHH4xihH",
         _time_of_week_ms(solution.time_ns),
@@ -90,13 +87,13 @@ def _time_of_week_ms(time_ns: int) -> int:
 
 def _accuracies(covariance: EnuCovariance | None, per_m: float) -> tuple[int, int]:
     if covariance is None:
-        return _UNKNOWN_ACCURACY, _UNKNOWN_ACCURACY
+        return UNKNOWN_ACCURACY, UNKNOWN_ACCURACY
     ee, _, _, nn, _, uu = covariance
     return _positive(math.sqrt(ee + nn) * per_m), _positive(math.sqrt(uu) * per_m)
 
 
 def _positive(value: float) -> int:
-    return min(max(_scaled(value, 1.0), 1), _UNKNOWN_ACCURACY - 1)
+    return min(max(_scaled(value, 1.0), 1), UNKNOWN_ACCURACY - 1)
 
 
 def _scaled(value: float, per_unit: float) -> int:
