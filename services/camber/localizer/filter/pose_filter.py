@@ -67,7 +67,10 @@ class PoseFilter:
         motion = self.model.motion
         self._gyro = BIAS_A if motion.a_rate_sensor == "yaw_rate" else BIAS_B
         self._odometer = WheelOdometry(motion)
-        self._track = RelativeTrack()
+        self.track = RelativeTrack()
+        """The dead-reckoned track in a frame of its own."""
+        self.travelled_m = 0.0
+        """Path length since the beginning."""
         self.state = FilterState(self.model)
         self._yaw_rates = YawRateCoupling(self.state, self.model)
         self._link = LinkCoupling(self.state, self.model)
@@ -79,25 +82,14 @@ class PoseFilter:
         self._provenance: Provenance = "none"
         self._last_step: MotionStep | None = None
         self._rate_rad_s: float | None = None
-        self._speed_ns: int | None = None
+        self._speed_ns: int | None = None  # of the last reading
         self._rotation_ns: int | None = None
         self._anchor_ns: int | None = None
         self._match_ns: int | None = None
         self._position_match_ns: int | None = None  # of the last match that determined both directions
         self._latest_input_ns = 0
-        self._travelled_m = 0.0
 
     # Output
-
-    @property
-    def track(self) -> RelativeTrack:
-        """The dead-reckoned track in a frame of its own."""
-        return self._track
-
-    @property
-    def travelled_m(self) -> float:
-        """Path length since the beginning."""
-        return self._travelled_m
 
     @property
     def time_ns(self) -> int | None:
@@ -143,7 +135,7 @@ class PoseFilter:
             yaw_rad=wrap_pi(float(x[YAW])),
             yaw_known=self._initialization.heading_known,
             covariance=p[:3, :3] + self._conflict.covariance(now),
-            speed_m_s=None if blind or step is None else self._speed_m_s(step),
+            speed_m_s=None if blind or step is None else speed_over_ground(self.state.x, step),
             yaw_rate_rad_s=self._rate_rad_s,
             standing=self._odometer.standing,
             speed_age_s=self._age_s(self._speed_ns),
@@ -164,7 +156,7 @@ class PoseFilter:
 
     def prediction_at(self, time_ns: int) -> Prediction | None:
         """Return the pose at a time of the last minutes or up to 0.3 s ahead; None outside, and without a pose."""
-        then, here = self._track.at(time_ns), self._track_now()
+        then, here = self.track.at(time_ns), self._track_now()
         if self._provenance == "none" or self.time_ns is None or then is None or here is None:
             return None
         x = self.state.x
@@ -188,7 +180,10 @@ class PoseFilter:
         step = self._odometer.advance(sample, float(state.x[self._gyro]))
         if step.outcome in ("repeated", "backwards"):
             return step.outcome
-        self._note_ages(sample)
+        if sample.speed_m_s is not None:
+            self._speed_ns = sample.time_ns
+        if reading(sample, model.a_rate_sensor) is not None:
+            self._rotation_ns = sample.time_ns
         self._latest_input_ns = max(self._latest_input_ns, sample.time_ns)
         if step.dt_s > model.max_bridge_s:
             self._lose_pose()
@@ -198,16 +193,16 @@ class PoseFilter:
         if self._wheel_slip.active:
             step = step._replace(standing=False, wheel_change_m_s=0.0)
         self._last_step = step
-        speed = self._speed_m_s(step)
+        speed = speed_over_ground(self.state.x, step)
         rate = turn.rate_rad_s if turn else 0.0
         self._rate_rad_s = None if turn is None else 0.0 if step.standing else rate
-        self._track.append(sample.time_ns, step, speed, rate)
+        self.track.append(sample.time_ns, step, speed, rate)
         if step.outcome == "first":
             return step.outcome
         posed = self._provenance != "none"
         self._yaw_rates.accumulate(step, heading_known=posed and self._initialization.heading_known)
         path = propagate(state.x, state.p, step, turn=turn, model=model)
-        self._travelled_m += path
+        self.travelled_m += path
         state.age_common(self.model, step.dt_s, path, self._link.sigma_m)
         self._wheel_slip.after_step(step, slip_change)
         if step.standing:
@@ -217,12 +212,6 @@ class PoseFilter:
         elif self._provenance != "none":
             self._drop_lost_estimates()
         return step.outcome
-
-    def _note_ages(self, sample: MotionSample) -> None:
-        if sample.speed_m_s is not None:
-            self._speed_ns = sample.time_ns
-        if reading(sample, self.model.motion.a_rate_sensor) is not None:
-            self._rotation_ns = sample.time_ns
 
     def _learn_bias(self, step: MotionStep) -> None:
         """At a standstill the yaw-rate sensor reads its bias: a measurement of one state."""
@@ -253,7 +242,7 @@ class PoseFilter:
             return CouplingResult("no_pose")
         return self._link.couple(
             self.time_ns,
-            self._travelled_m,
+            self.travelled_m,
             standing=self._odometer.standing,
             heading_known=self._initialization.heading_known,
         )
@@ -274,7 +263,7 @@ class PoseFilter:
         require_covariance("covariance", covariance, 2)
         self._latest_input_ns = max(self._latest_input_ns, time_ns)
         now, here = self.time_ns, self._track_now()
-        then = self._track.at(time_ns)
+        then = self.track.at(time_ns)
         if now is None or then is None or here is None:
             return AnchorResult("ahead" if now is None or time_ns > now else "too_old")
         if now - time_ns > self.model.anchor_max_age_s * 1e9:
@@ -322,7 +311,7 @@ class PoseFilter:
         require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad)
         require_covariance("covariance", covariance, 3)
         self._latest_input_ns = max(self._latest_input_ns, time_ns)
-        now, here, then = self.time_ns, self._track_now(), self._track.at(time_ns)
+        now, here, then = self.time_ns, self._track_now(), self.track.at(time_ns)
         if now is None or self._provenance == "none" or here is None:
             return MatchUpdate("no_pose")
         if then is None and time_ns > now:
@@ -423,7 +412,7 @@ class PoseFilter:
             if known and pose.yaw_rad is None and not drifted:
                 return False
         now, here = self.time_ns, self._track_now()
-        then = here if now is None else self._track.at(pose.time_ns)
+        then = here if now is None else self.track.at(pose.time_ns)
         if then is None or here is None:
             return False
         yaw_var = float(pose.covariance[2, 2])
@@ -475,10 +464,7 @@ class PoseFilter:
     def _track_now(self) -> TrackPoint | None:
         """Return the end of the track; before any motion, its beginning."""
         now = self.time_ns
-        return TrackPoint() if now is None else self._track.at(now)
-
-    def _speed_m_s(self, step: MotionStep) -> float:
-        return speed_over_ground(self.state.x, step)
+        return TrackPoint() if now is None else self.track.at(now)
 
     def _is_fresh(self, time_ns: int | None, for_s: float) -> bool:
         age_s = self._age_s(time_ns)

@@ -1,5 +1,8 @@
 """Coupling of the pose with a link: row 1 of h, CN101360971 eq. (3), `-x sin(alpha) + y cos(alpha) + c - r = 0`.
 
+`r` is the signed offset of the vehicle from the link's line, positive to its left; the document's unsigned one has
+another form of `h` to the right. The optimum, eq. (9) to (13), is a Kalman update with these Jacobians.
+
 A coarse link departs from its road by up to metres, and slowly: applied at every epoch as if independent, row 1
 would claim `sigma / sqrt(n)`. So `r = lane + deviation` is part of the state. `lane`, the vehicle's offset from the
 road's line, lasts (a random walk with the distance, more in a turn). `deviation` is a Gauss-Markov process along the
@@ -25,20 +28,12 @@ from camber.localizer.filter.dead_reckoning import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import DEVIATION, LANE, SHIFT_EAST, SHIFT_NORTH, FilterState
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_matching import LinkId, LinkMatch
-from camber.localizer.links.link_observation import jacobian_s, jacobian_x, observation
 from camber.localizer.links.link_offset_memory import LinkOffsetMemory
 
-CouplingOutcome: TypeAlias = Literal[
-    "coupled",
-    "no_pose",
-    "no_heading",
-    "standing",
-    "not_matched",
-    "too_soon",
-    "not_parallel",
-    "near_bend",
-    "rejected",
-]
+CouplingOutcome: TypeAlias = (
+    Literal["coupled", "rejected", "no_pose", "no_heading", "standing"]
+    | Literal["not_matched", "too_soon", "not_parallel", "near_bend"]
+)
 
 
 class CouplingResult(NamedTuple):
@@ -153,11 +148,11 @@ class LinkCoupling:
         match, state = self.match, self._state
         assert match.line is not None
         x = state.x
-        s = np.array([match.line.alpha_rad, match.line.c_m, x[LANE] + x[DEVIATION], 0.0])
-        innovation = -observation(x[:3], s)[:1]
+        offset_m = match.line.offset_m(float(x[EAST]), float(x[NORTH]))
+        innovation = np.array([-(offset_m - float(x[LANE] + x[DEVIATION]))])
         h = self._state.rows(1)
-        h[0, :3] = jacobian_x(s)[0]
-        h[0, LANE] = h[0, DEVIATION] = jacobian_s(x[:3], s)[0, 2]
+        h[0, EAST], h[0, NORTH] = match.line.normal
+        h[0, LANE] = h[0, DEVIATION] = -1.0
         shift_m = self._model.link_shift_share * match.sigma_m
         h[0, SHIFT_EAST] = shift_m * math.sin(match.line.alpha_rad)
         h[0, SHIFT_NORTH] = -shift_m * math.cos(match.line.alpha_rad)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats, require_array, require_finite
-from camber.localizer.links.link_observation import LinkLine
+from camber.localizer.links.link_line import LinkLine
 
 LinkId: TypeAlias = int | str
 MatchStatus: TypeAlias = Literal["none", "ambiguous", "matched"]

@@ -44,15 +44,8 @@ MatchStatus: TypeAlias = Literal["converged", "ambiguous", "lost"]
 LayerFailure: TypeAlias = Literal["too_few_points", "not_converged", "low_overlap", "large_residual"]
 MatchReason: TypeAlias = (
     LayerFailure
-    | Literal[
-        "agreed",
-        "layers_disagree",
-        "few_layers",
-        "direction_unseen",
-        "not_unique",
-        "not_searched",
-        "low_things",
-    ]
+    | Literal["agreed", "layers_disagree", "few_layers", "direction_unseen"]
+    | Literal["not_unique", "not_searched", "low_things"]
 )
 LayerChoice: TypeAlias = Literal["voted", "best", "mean", "weighted", "whole"]
 
@@ -161,11 +154,9 @@ def match_layers(scan: MatchInput, options: MatchOptions) -> LayeredMatch:
     if len(scan.targets) != len(options.bounds_m):
         raise ValueError(f"{len(scan.targets)} targets, expected {len(options.bounds_m)}, one for each layer")
     sources = split_layers(scan, options.bounds_m, options.points_per_layer)
-    start = None
-    if options.method == "point_to_plane":
-        start = _joint_icp(sources, scan, options)
+    joint = _joint_icp(sources, scan, options) if options.method == "point_to_plane" else None
     layers = [
-        _register_layer(bounds_m, source, target, start=_Start(scan.guess, start), options=options)
+        _register_layer(bounds_m, source, target, guess=scan.guess, joint=joint, options=options)
         for bounds_m, source, target in zip(options.bounds_m, sources, scan.targets, strict=True)
     ]
     return _select(layers, scan.guess, options)
@@ -177,12 +168,6 @@ def split_layers(scan: MatchInput, bounds_m: LayerBounds, at_most: int) -> list[
         thinned_evenly(scan.points_m[(scan.heights_m >= low) & (scan.heights_m < high)], at_most)
         for low, high in bounds_m
     ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Start:
-    guess: Floats
-    joint: IcpResult | None
 
 
 def _joint_icp(sources: Sequence[Floats], scan: MatchInput, options: MatchOptions) -> IcpResult:
@@ -198,38 +183,31 @@ def _joint_icp(sources: Sequence[Floats], scan: MatchInput, options: MatchOption
 
 
 def _register(
-    source_m: Floats, target: LayerTarget, start: _Start, options: MatchOptions
+    source_m: Floats, target: LayerTarget, guess: Floats, *, joint: IcpResult | None, options: MatchOptions
 ) -> tuple[LayerFit, Floats, Correspondences]:
     """Return the layer's fit, its offset from the guess, and the correspondences there."""
-    d_max_m = options.max_distance_m
-    if options.method != "point_to_plane":
+    d_max_m, iterations = options.max_distance_m, options.max_iterations
+    if options.method != "point_to_plane" or joint is None:
+        assert options.method != "point_to_plane"
         fit = register(
-            target,
-            source_m,
-            start.guess,
-            method=options.method,
-            max_distance_m=d_max_m,
-            max_iterations=options.max_iterations,
+            target, source_m, guess, method=options.method, max_distance_m=d_max_m, max_iterations=iterations
         )
-        offset = _offset(start.guess, fit.transform)
-        return fit, offset, find_correspondences(target, source_m, moved(start.guess, offset, "planar"))
+        offset = _offset(guess, fit.transform)
+        return fit, offset, find_correspondences(target, source_m, moved(guess, offset, "planar"))
     refine = IcpOptions(
-        free="planar",
-        max_distance_m=d_max_m,
-        first_scale_m=_LAYER_SCALE_M,
-        max_iterations=options.max_iterations,
+        free="planar", max_distance_m=d_max_m, first_scale_m=_LAYER_SCALE_M, max_iterations=iterations
     )
-    joint = start.joint
-    icp = icp_point_to_plane([(target, source_m)], start.guess if joint is None else joint.transform, refine)
+    icp = icp_point_to_plane([(target, source_m)], joint.transform, refine)
     correspondences = find_correspondences(target, source_m, icp.transform)
+    iterations = icp.iterations + joint.iterations
     fit = LayerFit.of(
         icp.transform,
         correspondences[1],
-        d_max_m,
+        options.max_distance_m,
         converged=icp.converged,
-        iterations=icp.iterations + (0 if joint is None else joint.iterations),
+        iterations=iterations,
     )
-    return fit, _offset(start.guess, fit.transform), correspondences
+    return fit, _offset(guess, fit.transform), correspondences
 
 
 def _register_layer(
@@ -237,12 +215,13 @@ def _register_layer(
     source_m: Floats,
     target: LayerTarget,
     *,
-    start: _Start,
+    guess: Floats,
+    joint: IcpResult | None,
     options: MatchOptions,
 ) -> LayerMatch:
     """Register a layer and evaluate its residuals, overlap and covariance."""
-    fit, offset, correspondences = _register(source_m, target, start, options)
-    at = moved(start.guess, offset, "planar")
+    fit, offset, correspondences = _register(source_m, target, guess, joint=joint, options=options)
+    at = moved(guess, offset, "planar")
     equations = normal_equations(target, source_m, at, correspondences, free="planar")
     residual = equations.rms()
     covariance = planar_covariance(equations, source_m)

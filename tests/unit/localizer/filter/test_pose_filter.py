@@ -14,8 +14,8 @@ from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.start_from_fixes import StartPose
+from camber.localizer.links.link_line import LinkLine
 from camber.localizer.links.link_matching import LinkMatch, LinkMatcher, LinkNetwork, RoadLink
-from camber.localizer.links.link_observation import LinkLine
 from support.plain_links import line_through
 
 STEP_S = 0.2

@@ -13,8 +13,8 @@ from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
+from camber.localizer.links.link_line import LinkLine
 from camber.localizer.links.link_matching import LinkMatch
-from camber.localizer.links.link_observation import LinkLine
 
 STEP_S = 0.1
 FIX = np.eye(2) * 0.02**2
