@@ -30,7 +30,7 @@ from camber.road_map.release import Release, read_release
 from camber.schemas.drive import InitialPose
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion, Ranging, Suspension
-from camber.simulator.faults.vehicle_faults import VehicleFault
+from camber.simulator.faults.schedule import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory
@@ -38,7 +38,7 @@ from camber.simulator.scene import Path as Way
 from camber.simulator.simulated_drive import SENSORS, district_of
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
 from camber.simulator.vehicle.body import CAR, VehicleBody
-from camber.simulator.vehicle.lidar import LidarFault, SimulatedLidar
+from camber.simulator.vehicle.lidar import SimulatedLidar
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_messages import (
@@ -120,7 +120,7 @@ class LidarDrive:
     beams: int
     traffic: int
     surveyed_links: tuple[int, ...]
-    lidar_faults: tuple[LidarFault, ...] = ()
+    lidar_faults: tuple[Fault, ...] = ()
 
     @property
     def frame(self) -> LocalFrame:
@@ -250,8 +250,8 @@ def lidar_drive(
     rounds: int = 1,
     drive_seed: int | None = None,
     traffic: int | None = None,
-    vehicle_faults: tuple[VehicleFault, ...] = (),
-    lidar_faults: tuple[LidarFault, ...] = (),
+    vehicle_faults: tuple[Fault, ...] = (),
+    lidar_faults: tuple[Fault, ...] = (),
 ) -> LidarDrive:
     """A drive from `start_s` after a route's beginning (where the vehicle stands for a second) for `duration_s`.
 
@@ -327,7 +327,7 @@ def _world(scenario: str, seed: int) -> _World:
 
 
 @lru_cache(maxsize=2)
-def _driven(scenario: str, seed: int, route: str, rounds: int, faults: tuple[VehicleFault, ...]) -> _Driven:
+def _driven(scenario: str, seed: int, route: str, rounds: int, faults: tuple[Fault, ...]) -> _Driven:
     world = _world(scenario, seed)
     district, settings = world.district, world.settings
     if rounds > 1:

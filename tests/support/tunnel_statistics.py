@@ -31,7 +31,7 @@ from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadL
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadLinks
 from camber.schemas.motion import Motion
-from camber.simulator.faults.vehicle_faults import VehicleFault
+from camber.simulator.faults.schedule import WheelSlip
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory
@@ -240,12 +240,12 @@ def _links(table: RoadLinks, frame: LocalFrame) -> list[RoadLink]:
     return links
 
 
-def _slips(seed: int, duration_s: float) -> list[VehicleFault]:
+def _slips(seed: int, duration_s: float) -> list[WheelSlip]:
     """Every other minute, at a time drawn."""
     rng = stream(seed, "slips of the tunnel")
     onsets = np.arange(90.0, duration_s - 60.0, 120.0)
     return [
-        VehicleFault(kind="wheel_slip", amount=factor - 1.0, onset_s=onset, end_s=onset + lasts_s)
+        WheelSlip(kind="wheel_slip", factor=factor, onset_s=onset, end_s=onset + lasts_s)
         for k, onset in enumerate((onsets + rng.uniform(0.0, 60.0, len(onsets))).tolist())
         for factor, lasts_s in [SLIPS[k % len(SLIPS)]]
     ]

@@ -18,9 +18,7 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.faults import schedule
-from camber.simulator.faults.radio_faults import JammingSignal, RadioFaults, SpoofingSignal
 from camber.simulator.faults.schedule import Fault, of_kind
-from camber.simulator.faults.vehicle_faults import FaultKind, VehicleFault
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
@@ -110,9 +108,9 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     every_system = true_ephemerides(int(epoch_ns[0]), int(epoch_ns[-1]), seed)
     true = [e for e in every_system if chr(e.satellite >> 8) in sky.systems]
     surroundings = Surroundings(ShapeTracer(what_blocks(shapes)), district.walls())
-    radio = _radio_faults(scenario)
+    lasting = schedule.until(faults, scenario.duration_s)
     rover = simulate_signals(
-        track, frame, true, ROVER, seed=seed, receiver="rover", surroundings=surroundings, faults=radio
+        track, frame, true, ROVER, seed=seed, receiver="rover", surroundings=surroundings, faults=lasting
     )
     base_m = _base_place(trajectory, sky.base_distance_m)
     base = simulate_signals(static_track(epoch_ns, base_m), frame, true, BASE, seed=seed, receiver="base")
@@ -177,13 +175,9 @@ def lay_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Traj
     def laid_out(changes: dict[int, float] | None) -> tuple[District, Path, Trajectory]:
         district = district_of(scenario, changes)
         path = district.path(scenario.place.route)
-        faults = _vehicle_faults(scenario.faults)
-        lasts_s = scenario.duration_s
-        return (
-            district,
-            path,
-            drive(path, body, start_ns=scenario.start_ns, duration_s=lasts_s, faults=faults),
-        )
+        start_ns, lasts_s = scenario.start_ns, scenario.duration_s
+        trajectory = drive(path, body, start_ns=start_ns, duration_s=lasts_s, faults=scenario.faults)
+        return district, path, trajectory
 
     district, path, trajectory = laid_out(None)
     changing = of_kind(scenario.faults, schedule.ChangedRoad)
@@ -202,36 +196,6 @@ def offsets_by_link(
         for fault in faults
         for link in np.unique(trajectory.link_id[fault.acts(time_s)]).tolist()
     }
-
-
-def _vehicle_faults(faults: tuple[Fault, ...]) -> list[VehicleFault]:
-    amounts: list[tuple[FaultKind, float, Fault]] = [
-        *(("tyre_radius", f.radius_change_m, f) for f in of_kind(faults, schedule.ChangedTyre)),
-        *(("load", f.load_kg, f) for f in of_kind(faults, schedule.ChangedLoad)),
-        *(("wheel_slip", f.factor - 1.0, f) for f in of_kind(faults, schedule.WheelSlip)),
-    ]
-    return [
-        VehicleFault(
-            kind=kind, amount=amount, onset_s=f.onset_s, end_s=math.inf if f.end_s is None else f.end_s
-        )
-        for kind, amount, f in amounts
-    ]
-
-
-def _radio_faults(scenario: Scenario) -> RadioFaults:
-    def span(fault: schedule.Jamming | schedule.Spoofing) -> dict[str, int]:
-        end_s = scenario.duration_s if fault.end_s is None else fault.end_s
-        begin_ns, end_ns = (scenario.start_ns + round(s * NS_PER_SECOND) for s in (fault.onset_s, end_s))
-        return {"begin_ns": begin_ns, "end_ns": end_ns}
-
-    jamming = [
-        JammingSignal(**span(f), loss_db=f.loss_db) for f in of_kind(scenario.faults, schedule.Jamming)
-    ]
-    spoofing = [
-        SpoofingSignal(**span(f), drift_m_s=(f.east_m_s, f.north_m_s, f.up_m_s))
-        for f in of_kind(scenario.faults, schedule.Spoofing)
-    ]
-    return RadioFaults(jamming=tuple(jamming), spoofing=tuple(spoofing))
 
 
 def _base_place(trajectory: Trajectory, distance_m: float) -> tuple[float, float, float]:

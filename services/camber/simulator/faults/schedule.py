@@ -6,6 +6,7 @@ end, to the end of the drive.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -165,9 +166,14 @@ Fault = Annotated[_OfDrive | _OfReceiver | DroppedProcess, Field(discriminator="
 F = TypeVar("F", bound=_Scheduled)
 
 
-def of_kind(faults: tuple[Fault, ...], kind: type[F]) -> tuple[F, ...]:
+def of_kind(faults: Sequence[Fault], kind: type[F]) -> tuple[F, ...]:
     """Those of one kind, in their order."""
     return tuple(fault for fault in faults if isinstance(fault, kind))
+
+
+def until(faults: Sequence[Fault], duration_s: float) -> list[Fault]:
+    """The same, but those that have no end end with the drive."""
+    return [f if f.end_s is not None else f.model_copy(update={"end_s": duration_s}) for f in faults]
 
 
 def refused_sum(faults: tuple[Fault, ...]) -> str | None:

@@ -41,7 +41,7 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.arrivals import write_arrivals
 from camber.schemas.lidar import Sweep
-from camber.simulator.faults.schedule import BlockedLidar, ChangedRoad, SymmetricScene, WrongMap, of_kind
+from camber.simulator.faults.schedule import ChangedRoad, WrongMap
 from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.output.drive_manifest import manifest_text
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, pcap_of
@@ -51,7 +51,7 @@ from camber.simulator.scene import Booleans, Floats, Integers
 from camber.simulator.scene import Path as VehiclePath
 from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by_link
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
-from camber.simulator.vehicle.lidar import LidarFault, Scan, SimulatedLidar
+from camber.simulator.vehicle.lidar import Scan, SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
@@ -143,14 +143,6 @@ def scans_of(drive: SimulatedDrive) -> Iterator[Scan]:
     """The sweeps of the drive's LiDAR, in order."""
     settings, scenario, path = drive.scenario.lidar, drive.scenario, drive.path
     assert settings is not None
-    end_s = scenario.duration_s
-    faults = [
-        LidarFault(onset_s=f.onset_s, end_s=f.end_s or end_s, blocked_share=f.share)
-        for f in of_kind(scenario.faults, BlockedLidar)
-    ] + [
-        LidarFault(onset_s=f.onset_s, end_s=f.end_s or end_s, road_only=True)
-        for f in of_kind(scenario.faults, SymmetricScene)
-    ]
     track = PoseTrack.of(drive.trajectory, drive.body, drive.body.lidar)
     users = _road_users(path, settings.traffic)
     pattern = BEAMS_64 if settings.beams == 64 else BEAMS_32
@@ -160,7 +152,7 @@ def scans_of(drive: SimulatedDrive) -> Iterator[Scan]:
         tracer=drive.tracer,
         seed=scenario.seed,
         traffic=Traffic.of(users, int(track.time_ns[0]), int(track.time_ns[-1])),
-        faults=tuple(faults),
+        faults=scenario.faults,
     )
     return lidar.scans(_THREADS)
 

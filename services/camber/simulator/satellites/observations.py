@@ -10,7 +10,8 @@ import numpy as np
 from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_number
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults.radio_faults import RadioFaults
+from camber.simulator.faults.effects import antenna_offset_m, cn0_loss_db
+from camber.simulator.faults.schedule import Fault
 from camber.simulator.satellites.atmosphere import Atmosphere
 from camber.simulator.satellites.carrier_locks import Locks, locks
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S, OrbitTable, newest_in_use
@@ -76,7 +77,7 @@ def simulate_signals(
     seed: int,
     receiver: str,
     surroundings: Surroundings | None = None,
-    faults: RadioFaults | None = None,
+    faults: Sequence[Fault] = (),
     atmosphere: Atmosphere | None = None,
 ) -> SimulatedSignals:
     """What a receiver at the track's antenna observes of the satellites in the (true) ephemerides.
@@ -88,10 +89,9 @@ def simulate_signals(
     if not len(time_ns) or bool(np.any(np.diff(time_ns) <= 0)):
         raise ValueError("time_ns of the track must have rising times")
     one = Receiver(name=receiver, seed=seed, parameters=parameters)
-    faults = faults or RadioFaults()
     atmosphere = atmosphere or Atmosphere.drawn(seed)
     clock, drift = _receiver_clock(time_ns, one)
-    offset, offset_rate = faults.antenna_offset_m(time_ns)
+    offset, offset_rate = antenna_offset_m(faults, time_ns)
     antenna = track.antenna_m - clock[:, None] * track.antenna_velocity_m_s
     reported = geodetic_track(frame, antenna + offset, track.antenna_velocity_m_s + offset_rate)
     sets = newest_in_use(ephemerides, int(time_ns[len(time_ns) // 2]))
@@ -106,7 +106,7 @@ def simulate_signals(
     elevation = geometry.elevation_rad
     if surroundings is not None:
         paths = propagation(antenna, geometry.direction, elevation, surroundings, parameters=parameters)
-    loss_db = faults.cn0_loss_db(time_ns)
+    loss_db = cn0_loss_db(faults, time_ns)
     arriving = levels(track, elevation, carrier, paths, cn0_loss_db=loss_db, receiver=one)
     held = locks(
         time_ns,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.schemas.lidar import Sweep
+from camber.simulator.faults.schedule import BlockedLidar, Fault, SymmetricScene
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Booleans, Floats, Hits, Integers, Material
 from camber.simulator.vehicle.beam_pattern import BeamPattern
@@ -44,17 +45,6 @@ _INTO_CROWN_M = 0.25  # chosen: mean depth between leaves
 _FULL_INTENSITY = 255.0  # a byte, as in common sensors
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LidarFault:
-    """From `onset_s` to `end_s` after the first sweep's beginning: `blocked_share` of the directions, from straight
-    ahead to both sides, see nothing; `road_only`: what is not road or ground sends nothing back."""
-
-    onset_s: float
-    end_s: float = math.inf
-    blocked_share: float = 0.0
-    road_only: bool = False
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scan:
     """A sweep as the sensor gives it, with the truth: of what each point is (points,)."""
@@ -72,7 +62,7 @@ class SimulatedLidar:
     tracer: ShapeTracer
     seed: int
     traffic: Traffic | None = None
-    faults: tuple[LidarFault, ...] = ()
+    faults: Sequence[Fault] = ()
 
     def scans(self, threads: int = 2, every: int = 1) -> Iterator[Scan]:
         """One scan every so many turns while the track lasts, in order; as many at a time as there are threads."""
@@ -106,7 +96,7 @@ class SimulatedLidar:
             hit_traffic(rays, beams.share, boxes, hits)
         passed_s = (begin_ns - start_ns) / 1e9
         for fault in self.faults:
-            if fault.onset_s <= passed_s < fault.end_s:
+            if fault.acts(np.array([passed_s]))[0]:
                 hits.distance_m[_unseen(fault, beams.in_sensor, hits.material)] = np.inf
         rng = stream(self.seed, f"{pattern.name} sweep {turn}")
         chance = rng.random((2, pattern.rays), np.float32)
@@ -136,11 +126,12 @@ class _Beams(NamedTuple):
         return cls(pattern.directions(), offset.astype(np.int32), share, pattern.rises_m())
 
 
-def _unseen(fault: LidarFault, in_sensor: Floats, material: Integers) -> Booleans:
-    azimuth = np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0]))
-    unseen: Booleans = azimuth < fault.blocked_share * np.pi
-    if fault.road_only:
-        unseen |= (material != Material.ROAD) & (material != Material.GROUND)
+def _unseen(fault: Fault, in_sensor: Floats, material: Integers) -> Booleans:
+    """Rays (n,) that see nothing: of the directions from straight ahead to both sides, or off road and ground."""
+    if isinstance(fault, SymmetricScene):
+        return np.asarray((material != Material.ROAD) & (material != Material.GROUND))
+    share = fault.share if isinstance(fault, BlockedLidar) else 0.0
+    unseen: Booleans = np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0])) < share * np.pi
     return unseen
 
 

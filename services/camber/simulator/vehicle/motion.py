@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.simulator.faults.vehicle_faults import VehicleFault, effect
+from camber.simulator.faults.effects import vehicle_effect
+from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, Fault, WheelSlip
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations, turned
 from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody, minus
@@ -36,7 +37,7 @@ def drive(
     body: VehicleBody,
     *,
     start_ns: int,
-    faults: Sequence[VehicleFault] = (),
+    faults: Sequence[Fault] = (),
     duration_s: float | None = None,
 ) -> Trajectory:
     """The motion along a path from rest to rest, at even steps from `start_ns`.
@@ -54,7 +55,7 @@ def drive(
     posed = _posed(body, rolling, faults, time_s)
     antenna = rolling.origin_m + posed.antenna_m
     road = driven.road_m(antenna[:, 0], antenna[:, 1], rolling.distance_m + body.antenna[0])
-    slip, _ = effect(faults, "wheel_slip", time_s)
+    slip, _ = vehicle_effect(faults, WheelSlip, time_s)
     point_speed = rolling.speed_m_s * (1.0 - rolling.curvature * body.wheel[1])
     sample = driven.sample_at(rolling.distance_m)
     return Trajectory(
@@ -127,9 +128,9 @@ def _rolling(driven: DrivenPath, contact: CubicCurve, s: Floats, v: Floats, a: F
     )
 
 
-def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[VehicleFault], time_s: Floats) -> _Posed:
-    radius, radius_rate = effect(faults, "tyre_radius", time_s)
-    load, load_rate = effect(faults, "load", time_s)
+def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[Fault], time_s: Floats) -> _Posed:
+    radius, radius_rate = vehicle_effect(faults, ChangedTyre, time_s)
+    load, load_rate = vehicle_effect(faults, ChangedLoad, time_s)
     springs = body.suspension
     road, rate = rolling.road, rolling.road_rate
     road_pitch, road_roll = road[:, 2], road[:, 3]

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from camber.formats.receiver.solution import SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.simulator.faults.radio_faults import RadioFaults, SpoofingSignal
+from camber.simulator.faults.schedule import Spoofing
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.differenced_geometry import differenced_geometry, fitting
 from camber.simulator.satellites.observations import simulate_signals
@@ -29,7 +29,7 @@ def standing(seconds):
     return track, true_ephemerides(BEGIN_NS, int(track.time_ns[-1]), 1)
 
 
-def in_the_open(seconds, seed, faults=None):
+def in_the_open(seconds, seed, *faults):
     track, true = standing(seconds)
     rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover", faults=faults)
     base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
@@ -51,10 +51,9 @@ def test_right_fixes_in_the_open_are_as_good_as_in_a_data_sheet():
 
 
 def test_a_spoofed_fix_goes_where_the_signals_go_though_its_integers_are_right():
-    begin, end = BEGIN_NS + 20 * NS_PER_SECOND, BEGIN_NS + 60 * NS_PER_SECOND
-    spoof = SpoofingSignal(begin_ns=begin, end_ns=end, drift_m_s=(0.1, 0.0, 0.05))
-    track, made = in_the_open(60, 1, RadioFaults(spoofing=(spoof,)))
-    since = np.maximum((track.time_ns - begin) / NS_PER_SECOND, 0.0)
+    spoof = Spoofing(kind="spoofing", onset_s=20.0, end_s=60.0, east_m_s=0.1, up_m_s=0.05)
+    track, made = in_the_open(60, 1, spoof)
+    since = np.maximum((track.time_ns - BEGIN_NS) / NS_PER_SECOND - 20.0, 0.0)
     assert np.max(np.abs(made.error_m - since[:, None] * [0.1, 0.0, 0.05])) < 0.08
     assert not made.wrong_integers.any()
 

@@ -8,7 +8,7 @@ import pytest
 from camber.formats.observations import ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults.radio_faults import JammingSignal, RadioFaults, SpoofingSignal
+from camber.simulator.faults.schedule import Fault, Jamming, Spoofing
 from camber.simulator.satellites.carrier_locks import locks
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.observations import SimulatedSignals, simulate_signals
@@ -35,7 +35,7 @@ def drive(seconds: int = 40) -> AntennaTrack:
     return AntennaTrack(time_ns=time_ns, antenna_m=place, antenna_velocity_m_s=velocity)
 
 
-def simulated(faults: RadioFaults | None = None, parameters=ROVER, seed: int = 3) -> SimulatedSignals:
+def simulated(*faults: Fault, parameters=ROVER, seed: int = 3) -> SimulatedSignals:
     return simulate_signals(drive(), FRAME, TRUE, parameters, seed, "rover", faults=faults)
 
 
@@ -48,12 +48,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
     first, again, other = (as_bytes(simulated(seed=s).epochs()) for s in (3, 3, 4))
     assert first == again
     assert first != other
-
-
-def jamming(begin_s: float, end_s: float, loss_db: float, ramp_s: float) -> RadioFaults:
-    begin_ns, end_ns = (BEGIN_NS + round(s * NS_PER_SECOND) for s in (begin_s, end_s))
-    jam = JammingSignal(begin_ns=begin_ns, end_ns=end_ns, loss_db=loss_db, ramp_s=ramp_s)
-    return RadioFaults(jamming=(jam,))
 
 
 def test_phase_changes_at_the_rate_of_the_doppler():
@@ -88,11 +82,11 @@ def test_noise_at_45_dbhz_is_that_of_the_parameters():
 
 
 def test_jamming_lowers_carrier_to_noise_only_while_it_lasts():
-    plain, jammed = simulated(), simulated(jamming(10.0, 20.0, 15.0, ramp_s=1.0))
+    plain, jammed = simulated(), simulated(Jamming(kind="jamming", onset_s=9.0, end_s=21.0, loss_db=15.0))
     loss = np.mean(plain.levels.cn0_dbhz - jammed.levels.cn0_dbhz, axis=(1, 2))
     since = (plain.time_ns - BEGIN_NS) / NS_PER_SECOND
     assert np.allclose(loss[(since >= 11.0) & (since <= 19.0)], 15.0)
-    assert np.allclose(loss[(since < 10.0) | (since > 20.0)], 0.0)
+    assert np.allclose(loss[(since < 9.0) | (since > 21.0)], 0.0)
     inside = (since >= 11.0) & (since <= 19.0)
     assert jammed.levels.phase_tracked[inside].mean() < 0.2 * plain.levels.phase_tracked[inside].mean()
 
@@ -100,8 +94,8 @@ def test_jamming_lowers_carrier_to_noise_only_while_it_lasts():
 def test_spoofed_ranges_are_those_of_the_place_that_drifts_off():
     drift = (0.3, -0.2, 0.0)  # level: the troposphere changes with height
     begin = BEGIN_NS + 10 * NS_PER_SECOND
-    spoof = SpoofingSignal(begin_ns=begin, end_ns=BEGIN_NS + 60 * NS_PER_SECOND, drift_m_s=drift)
-    plain, spoofed = simulated(), simulated(RadioFaults(spoofing=(spoof,)))
+    spoof = Spoofing(kind="spoofing", onset_s=10.0, end_s=60.0, east_m_s=drift[0], north_m_s=drift[1])
+    plain, spoofed = simulated(), simulated(spoof)
     since = np.maximum((plain.time_ns - begin) / NS_PER_SECOND, 0.0)
     expected = -np.einsum("nmk,k->nm", plain.geometry.direction, np.array(drift)) * since[:, None]
     assert np.max(np.abs((spoofed.pseudorange_m - plain.pseudorange_m)[..., 0] - expected)) < 2e-3
@@ -109,11 +103,13 @@ def test_spoofed_ranges_are_those_of_the_place_that_drifts_off():
 
 def test_only_signals_without_pilot_lose_half_a_cycle_and_it_is_flagged():
     always = replace(ROVER, half_cycle_after_lock=1.0, half_cycle_wrong_when_weak=0.0, slips_per_s=0.0)
-    signals = simulated(jamming(5.0, 6.0, 60.0, ramp_s=0.0), always)
-    since = (signals.time_ns - BEGIN_NS) / NS_PER_SECOND - 6.0
-    assert not signals.levels.code_tracked[(since > -0.9) & (since < -0.1)].any()
-    first = int(np.argmax(since >= 0.0))  # every lock is a new one
-    assert signals.locks.loss_of_lock[first][signals.levels.phase_tracked[first]].all()
+    jam = Jamming(kind="jamming", onset_s=3.0, end_s=8.0, loss_db=60.0)
+    signals = simulated(jam, parameters=always)
+    since = (signals.time_ns - BEGIN_NS) / NS_PER_SECOND - 8.0
+    assert not signals.levels.code_tracked[(since > -2.9) & (since < -2.1)].any()
+    tracked = signals.levels.phase_tracked[since > -2.5]
+    first = np.diff(tracked.astype(int), axis=0, prepend=0) == 1
+    assert signals.locks.loss_of_lock[since > -2.5][first].all()  # every lock is a new one
     off = signals.locks.ambiguity_cycles % 1.0 == 0.5
     letters = [chr(s >> 8) for s in signals.satellite]
     data = np.array([[letter in "GJC", letter == "C"] for letter in letters])

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from camber.simulator.faults.schedule import BlockedLidar, SymmetricScene
 from camber.simulator.scene import Floats, Material, Shapes, Trajectory
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64, PATTERNS, BeamPattern
 from camber.simulator.vehicle.body import CAR
-from camber.simulator.vehicle.lidar import LidarFault, Scan, SimulatedLidar
+from camber.simulator.vehicle.lidar import Scan, SimulatedLidar
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
@@ -222,8 +223,8 @@ def test_the_same_seed_gives_the_same_bytes_in_any_number_of_threads() -> None:
 
 
 def test_faults_blind_the_sensor_from_their_onset_to_their_end() -> None:
-    blocked = LidarFault(onset_s=0.2, end_s=0.4, blocked_share=0.5)
-    alone = LidarFault(onset_s=0.4, road_only=True)
+    blocked = BlockedLidar(kind="blocked_lidar", onset_s=0.2, end_s=0.4, share=0.5)
+    alone = SymmetricScene(kind="symmetric_scene", onset_s=0.4)
     made = scans(standing(), faults=(blocked, alone))
     ahead = [float((s.sweep.points_m[:, 0] > 0.01).mean()) for s in made]
     assert min(ahead[:2]) > 0.4

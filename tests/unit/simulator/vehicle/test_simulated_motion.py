@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
-from camber.simulator.faults.vehicle_faults import VehicleFault
+from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, WheelSlip
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive
@@ -169,9 +169,9 @@ def test_the_wheels_turn_slower_on_greater_tyres_and_faster_when_they_slip() -> 
     plain = drive(path, CAR, start_ns=START_NS)
     np.testing.assert_allclose(plain.wheel_speed_m_s, plain.speed_m_s, rtol=1e-12)
     faults = [
-        VehicleFault(kind="tyre_radius", amount=0.02, onset_s=10.0, end_s=15.0),
-        VehicleFault(kind="wheel_slip", amount=0.3, onset_s=20.0, end_s=22.0),
-        VehicleFault(kind="load", amount=300.0, onset_s=24.0),
+        ChangedTyre(kind="changed_tyre", radius_change_m=0.02, onset_s=10.0, end_s=15.0),
+        WheelSlip(kind="wheel_slip", factor=1.3, onset_s=20.0, end_s=22.0),
+        ChangedLoad(kind="changed_load", load_kg=300.0, onset_s=24.0),
     ]
     t = drive(path, CAR, start_ns=START_NS, faults=faults)
     moving = t.speed_m_s > 1.0
@@ -205,5 +205,6 @@ def test_what_cannot_be_driven_is_refused() -> None:
         drive(dataclasses.replace(path, speed_limit_m_s=np.zeros(50)), CAR, start_ns=START_NS)
     with pytest.raises(ValueError, match="four points"):
         drive(path_over(flat, np.zeros(3)), CAR, start_ns=START_NS)
+    short = ChangedLoad(kind="changed_load", load_kg=10.0, onset_s=5.0, end_s=5.5)
     with pytest.raises(ValueError, match="end_s"):
-        VehicleFault(kind="load", amount=10.0, onset_s=5.0, end_s=5.5)
+        drive(path, CAR, start_ns=START_NS, faults=[short])
