@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from camber.schemas.base import Float64
 from camber.validation.evidence.faults import AFTER_S
 from camber.validation.evidence.nagoya import BASELINES, REQUIREMENTS, Requirement, total
 from camber.validation.evidence.simulated_drives import (
@@ -19,7 +21,7 @@ from camber.validation.evidence.simulated_drives import (
     WITHOUT,
     stacked_blocks,
 )
-from camber.validation.markdown import percent, table
+from camber.validation.markdown import columns, percent, table
 from camber.validation.statistics import share_interval, share_of
 
 Results = Sequence[dict[str, Any]]
@@ -73,96 +75,76 @@ def nagoya_part(results: Results) -> str:
 
 def _nagoya_table(results: Results, required: Requirement) -> str:
     seeds = sorted(r["seed"] for r in results)
-    rows = []
-    for judge in ("camber", *BASELINES):
-        t = total(results, judge)
-        bound = percent(3.0 / t["episodes"], 0) if t["episodes"] and not t["missed"] else "—"
-        rows.append(
-            (
-                _JUDGES[judge],
-                f"{t['confirmed_wrong']} of {t['wrong']}",
-                percent(t["right_kept"]),
-                t["right_erroneous"],
-                f"{t['missed']} of {t['episodes']} × {len(results)}",
-                bound,
-            )
-        )
-    ours = total(results, "camber")
+    totals = {judge: total(results, judge) for judge in ("camber", *BASELINES)}
+    ours = totals["camber"]
     met = ours["confirmed_wrong"] <= required.wrong_confirmed and (
         (ours["right_kept"] or 0.0) >= required.right_confirmed
     )
-    share = len(results) / 50.0
-    lines = [
-        f"### σ of the map {required.map_sigma_m:.2f} m\n",
+    enough = len(results) / 50.0 >= 1.0
+    judges = columns(
+        totals.items(),
+        {
+            "judge": lambda item: _JUDGES[item[0]],
+            "wrong epochs confirmed": lambda item: f"{item[1]['confirmed_wrong']} of {item[1]['wrong']}",
+            "right confirmed": lambda item: percent(item[1]["right_kept"]),
+            "right called erroneous": lambda item: item[1]["right_erroneous"],
+            "episodes missed": lambda item: f"{item[1]['missed']} of {item[1]['episodes']} × {len(results)}",
+            "3/n": lambda item: _bound(item[1]),
+        },
+    )
+    heading = (
+        f"### σ of the map {required.map_sigma_m:.2f} m\n\n"
         f"`camber evidence --only nagoya`, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)} drives). "
         f"Asked for over 50 seeds: at most {required.wrong_confirmed} wrong epochs confirmed, at least "
         f"{percent(required.right_confirmed, 1)} of the right ones: "
-        + ("**met**." if met and share >= 1.0 else "met so far, with fewer seeds." if met else "**not met**.")
-        + "\n",
-        table(
-            (
-                "judge",
-                "wrong epochs confirmed",
-                "right confirmed",
-                "right called erroneous",
-                "episodes missed",
-                "3/n",
-            ),
-            rows,
-        ),
-    ]
-    return "\n".join([*lines, _held_back(results), _wrong_confirmed(results)])
+        + ("**met**." if met and enough else "met so far, with fewer seeds." if met else "**not met**.")
+        + "\n"
+    )
+    return "\n".join([heading, judges, _held_back(results), _wrong_confirmed(results)])
+
+
+def _bound(t: dict[str, Any]) -> str:
+    return percent(3.0 / t["episodes"], 0) if t["episodes"] and not t["missed"] else "—"
 
 
 def _held_back(results: Results) -> str:
-    said: dict[str, int] = {}
+    reasons: Counter[str] = Counter()
     for result in results:
-        for reason, count in result["held_back"].items():
-            said[reason] = said.get(reason, 0) + count
-    ranked = sorted(said.items(), key=lambda item: -item[1])
-    listed = ", ".join(f"{reason} {count}" for reason, count in ranked) or "none"
+        reasons.update(result["held_back"])
+    listed = ", ".join(f"{reason} {count}" for reason, count in reasons.most_common()) or "none"
     return f"Right epochs that were not confirmed: {listed}.\n"
 
 
 def _wrong_confirmed(results: Results) -> str:
-    rows = [
-        (
-            r["seed"],
-            f"{w['at_s']:.1f}",
-            ", ".join(f"{e:+.2f}" for e in w["fix_error_enu_m"]),
-            _metres(w["height_difference_m"]),
-            ", ".join(f"{d:+.2f}" for d in w["position_difference_m"] or ()) or "—",
-            "—" if w["joint_distance2"] is None else f"{w['joint_distance2']:.1f}",
-            f"{w['correction_m']:+.3f}",
-            w["word"] + (f" ({', '.join(w['evidence'])})" if w["evidence"] else ""),
-        )
-        for r in results
-        for w in r["wrong_confirmed"]
-    ]
+    rows = [{"seed": r["seed"], **w} for r in results for w in r["wrong_confirmed"]]
     if not rows:
         return "No wrong epoch was confirmed.\n"
-    head = (
-        "seed",
-        "s",
-        "error E, N, U [m]",
-        "height difference [m]",
-        "from the pose E, N [m]",
-        "d²",
-        "h_e [m]",
-        "word",
+    return "Wrong epochs that were confirmed:\n\n" + columns(
+        rows,
+        {
+            "seed": lambda w: w["seed"],
+            "s": lambda w: f"{w['at_s']:.1f}",
+            "error E, N, U [m]": lambda w: ", ".join(f"{e:+.2f}" for e in w["fix_error_enu_m"]),
+            "height difference [m]": lambda w: _metres(w["height_difference_m"]),
+            "from the pose E, N [m]": lambda w: (
+                ", ".join(f"{d:+.2f}" for d in w["position_difference_m"] or ()) or "—"
+            ),
+            "d²": lambda w: "—" if w["joint_distance2"] is None else f"{w['joint_distance2']:.1f}",
+            "h_e [m]": lambda w: f"{w['correction_m']:+.3f}",
+            "verdict": lambda w: w["word"] + (f" ({', '.join(w['evidence'])})" if w["evidence"] else ""),
+        },
     )
-    return "Wrong epochs that were confirmed:\n\n" + table(head, rows)
 
 
-def _metres(value: float | None) -> str:
-    return "—" if value is None else f"{value:+.2f}"
+def _metres(value: float | None, decimals: int = 2) -> str:
+    return "—" if value is None else f"{value:+.{decimals}f}"
 
 
 # -- simulated drives -------------------------------------------------------------------------------------------------
 
 
 def drives_part(results: Results) -> str:
-    """KIKUCHI's table beside ours, then coverage by mode."""
+    """Kikuchi's table and ours, then coverage by mode."""
     if not results:
         return NOT_RUN
     text = []
@@ -170,13 +152,8 @@ def drives_part(results: Results) -> str:
     usual = [r for r in results if r not in without]
     for scenario in dict.fromkeys(_name(r) for r in usual):
         chosen = [r for r in usual if _name(r) == scenario]
-        text += [
-            f"### {scenario}\n",
-            _drives_heading(chosen),
-            _errors(chosen),
-            _coverage(chosen),
-            _levels(chosen),
-        ]
+        heading = f"### {scenario}\n"
+        text += [heading, _drives_heading(chosen), _errors(chosen), _coverage(chosen), _levels(chosen)]
     return "\n".join([*text, "### Re-estimation\n", _re_estimation(usual, without)])
 
 
@@ -184,24 +161,13 @@ def _re_estimation(usual: Results, without: Results) -> str:
     """The same drives with and without: right fixes that are confirmed, and wrong ones."""
     rows = []
     for one in without:
-        same = [r for r in usual if (_name(r), r["seed"]) == (_name(one), one["seed"])]
-        for other in same:
+        for other in (r for r in usual if (_name(r), r["seed"]) == (_name(one), one["seed"])):
             right, before = (r["confirmed"] - (r["confirmed_wrong"] or 0) for r in (other, one))
             wrong, wrong_before = other["confirmed_wrong"] or 0, one["confirmed_wrong"] or 0
             met = right >= MORE_CONFIRMED * before > 0 and wrong <= wrong_before
             more = percent(right / before - 1.0, 1) if before else "none"
-            rows.append(
-                (
-                    _name(one),
-                    one["seed"],
-                    before,
-                    right,
-                    more,
-                    wrong_before,
-                    wrong,
-                    "yes" if met else "**no**",
-                )
-            )
+            drive, answer = (_name(one), one["seed"]), "yes" if met else "**no**"
+            rows.append((*drive, before, right, more, wrong_before, wrong, answer))
     if not rows:
         return NOT_RUN
     head = ("drive", "seed", "confirmed without it", "with it", "more", "wrong without it", "with it", "met")
@@ -230,38 +196,38 @@ def _drives_heading(results: Results) -> str:
 
 def _levels(results: Results) -> str:
     """By mode: how often the error was beyond the protection level, and how much wider the level is than the error."""
-    rows: list[tuple[object, ...]] = []
-    for mode in MODES:
-        there = [r["levels"][mode] for r in results if mode in r["levels"]]
-        for name, text in (("hpl", "horizontal"), ("vpl", "vertical")):
-            levels = [item[name] for item in there if item[name]["epochs"]]
-            if not levels:
-                continue
-            beyond = sum(item["misleading"] + item["unavailable_misleading"] for item in levels)
-            ratios = [item["ratio"] for item in levels if item["ratio"] is not None]
-            rows.append(
-                (
-                    f"{mode}, {text}",
-                    sum(item["epochs"] for item in levels),
-                    beyond,
-                    sum(item["hazardous"] for item in levels),
-                    f"{max(item['median_level_m'] for item in levels):.2f} m",
-                    f"{max(ratios):.1f}" if ratios else "none",
-                )
-            )
+    by_mode = {
+        f"{mode}, {text}": [
+            r["levels"][mode][name] for r in results if r["levels"].get(mode, _NO_LEVELS)[name]["epochs"]
+        ]
+        for mode in MODES
+        for name, text in (("hpl", "horizontal"), ("vpl", "vertical"))
+    }
+    rows = [(name, levels) for name, levels in by_mode.items() if levels]
     if not rows:
         return "No protection levels were given.\n"
-    head = (
-        "level",
-        "epochs",
-        "error beyond it",
-        "and beyond the alert limit",
-        "median",
-        "by the median error",
+    intro = "Protection levels at the integrity risk; medians are the largest of any drive.\n\n"
+    return intro + columns(
+        rows,
+        {
+            "level": lambda row: row[0],
+            "epochs": lambda row: sum(item["epochs"] for item in row[1]),
+            "error beyond it": lambda row: sum(
+                item["misleading"] + item["unavailable_misleading"] for item in row[1]
+            ),
+            "and beyond the alert limit": lambda row: sum(item["hazardous"] for item in row[1]),
+            "median": lambda row: f"{max(item['median_level_m'] for item in row[1]):.2f} m",
+            "by the median error": lambda row: _largest(item["ratio"] for item in row[1]),
+        },
     )
-    return "Protection levels at the integrity risk; medians are the largest of any drive.\n\n" + table(
-        head, rows
-    )
+
+
+_NO_LEVELS: dict[str, dict[str, int]] = {"hpl": {"epochs": 0}, "vpl": {"epochs": 0}}
+
+
+def _largest(ratios: Iterable[float | None]) -> str:
+    known = [ratio for ratio in ratios if ratio is not None]
+    return f"{max(known):.1f}" if known else "none"
 
 
 def _errors(results: Results) -> str:
@@ -269,43 +235,28 @@ def _errors(results: Results) -> str:
     epochs, known = blocks[:, 0], blocks[:, 1]
     rows = [("availability", percent(KIKUCHI.availability, 0), "100 %", percent(share_of(known, epochs)), "")]
     for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, KIKUCHI.below, REQUIRED_BELOW, strict=True)):
-        below = blocks[:, 2 + k]
-        rows.append(
-            (
-                f"error < {limit_m:.1f} m",
-                percent(theirs, 1),
-                percent(asked, 1),
-                percent(share_of(below, known)),
-                _interval(share_interval(below, known, seed=0)),
-            )
-        )
+        limits = f"error < {limit_m:.1f} m", percent(theirs, 1), percent(asked, 1)
+        rows.append((*limits, *_share_and_interval(blocks[:, 2 + k], known)))
     return table(("", "R (Nagoya 2014)", "asked for", "Camber", "95 %, blocks redrawn"), rows)
+
+
+def _share_and_interval(hits: Float64, trials: Float64) -> tuple[str, str]:
+    return percent(share_of(hits, trials)), _interval(share_interval(hits, trials, seed=0))
 
 
 def _coverage(results: Results) -> str:
     theirs = dict(KIKUCHI.inside_99)
-    rows = []
-    for mode in (*MODES, "all"):
-        blocks = (
-            np.sum([stacked_blocks(results, m) for m in MODES], axis=0)
-            if mode == "all"
-            else stacked_blocks(results, mode)
-        )
+    by_mode = {mode: stacked_blocks(results, mode) for mode in MODES}
+    by_mode["all"] = np.sum(list(by_mode.values()), axis=0)
+    rows: list[tuple[object, ...]] = []
+    for mode, blocks in by_mode.items():
         n, inside_99, inside_999 = blocks.T
         if not n.sum():
             rows.append((mode, 0, "—", "none", "", "none", ""))
             continue
-        rows.append(
-            (
-                mode,
-                int(n.sum()),
-                percent(theirs[mode], 1) if mode in theirs else "—",
-                percent(share_of(inside_99, n)),
-                _interval(share_interval(inside_99, n, seed=0)),
-                percent(share_of(inside_999, n)),
-                _interval(share_interval(inside_999, n, seed=0)),
-            )
-        )
+        published = percent(theirs[mode], 1) if mode in theirs else "—"
+        shares = *_share_and_interval(inside_99, n), *_share_and_interval(inside_999, n)
+        rows.append((mode, int(n.sum()), published, *shares))
     head = ("truth inside", "epochs", "R, 99 %", "99 % ellipse", "95 %", "99.9 % ellipse", "95 %")
     return f"Intervals are of a bootstrap over blocks of {BLOCK_S:g} s.\n\n" + table(head, rows)
 
@@ -318,46 +269,32 @@ def _interval(interval: tuple[float, float] | None) -> str:
 
 
 def faults_part(results: Results) -> str:
-    """A row for each fault: named by what and when, what was confirmed, what learning made of it."""
-    if not results:
-        return NOT_RUN
-    return "\n".join(_faults_table(result) for result in results)
+    """A row for each fault: named by what and when, how many were confirmed, and what learning made of it."""
+    return "\n".join(map(_faults_table, results)) or NOT_RUN
 
 
 def _faults_table(result: dict[str, Any]) -> str:
-    rows = [
-        (
-            f"{f['kind']} {f['begin_s']:.0f}–{f['end_s']:.0f} s",
-            "**not named**" if f["named_by"] is None else f"{f['named_by']} after {f['named_after_s']:.1f} s",
-            f"{f['wrong']} of {f['fixed']}",
-            f["wrong_confirmed"],
-            f["wrong_confirmed_after"],
-            " → ".join(_metres3(f[key]) for key in _CORRECTIONS),
-        )
-        for f in result["faults"]
-    ]
-    head = (
-        "fault",
-        f"named, up to {AFTER_S:g} s after it",
-        "wrong of fixes",
-        "confirmed",
-        "and after",
-        "h_e [m]",
-    )
     sweeps = f"{result['sweeps']} sweeps" if result["sweeps"] else "without LiDAR"
-    judged = (
-        f"Wrong fixes {result['wrong']}, confirmed {result['confirmed_wrong']}; "
-        f"right fixes confirmed {percent(result['right_kept'])}."
-    )
     return (
         f"`camber evidence --only faults`: `camber simulate {_name(result)}`, seed {result['seed']}, {sweeps}, "
-        f"positions of the {result['positions']}. {judged} h_e before, at the end, before the next fault.\n\n"
-        + table(head, rows)
+        f"positions of the {result['positions']}. Wrong fixes {result['wrong']}, "
+        f"confirmed {result['confirmed_wrong']}; right fixes confirmed {percent(result['right_kept'])}. "
+        "h_e before, at the end, before the next fault.\n\n"
+    ) + columns(
+        result["faults"],
+        {
+            "fault": lambda f: f"{f['kind']} {f['begin_s']:.0f}–{f['end_s']:.0f} s",
+            f"named, up to {AFTER_S:g} s after it": lambda f: (
+                "**not named**"
+                if f["named_by"] is None
+                else f"{f['named_by']} after {f['named_after_s']:.1f} s"
+            ),
+            "wrong of fixes": lambda f: f"{f['wrong']} of {f['fixed']}",
+            "confirmed": lambda f: f["wrong_confirmed"],
+            "and after": lambda f: f["wrong_confirmed_after"],
+            "h_e [m]": lambda f: " → ".join(_metres(f[key], 3) for key in _CORRECTIONS),
+        },
     )
 
 
 _CORRECTIONS = ("correction_before_m", "correction_at_end_m", "correction_after_m")
-
-
-def _metres3(value: float | None) -> str:
-    return "—" if value is None else f"{value:+.3f}"
