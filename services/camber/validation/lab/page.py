@@ -5,34 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from camber.validation.markdown import table
+from camber.validation.lab.baselines import BASELINES
+from camber.validation.lab.error_model import HEADLINE, scene_of
+from camber.validation.markdown import columns, table
 
-CONTROLS_SHOWN = (
-    "ratio only", "residuals only", "height only", "LiDAR only", "height and LiDAR", "all, with residuals", "always no",
-)  # fmt: skip
-HEADLINE = ((0.05, 0.05), (0.10, 0.05))
+_KINDS = {
+    "search": "Integers found by LAMBDA from biased floats:",
+    "cycles": "Integers off by one to three cycles:",
+}
 
 
 def page(figures: dict[str, Any]) -> str:
     """Markdown, headings of level two and three."""
-    parts = (
-        _head(figures),
-        _asked(figures),
-        _controls(figures),
-        _curves(figures),
-        _alarms(figures),
-        _faults(figures),
-        _levels(figures),
-        _assumptions(figures),
-    )
-    return "\n".join("\n".join(part).rstrip("\n") + "\n" for part in parts)
+    sections = (_head, _requirements, _baselines, _curves, _alarms, _faults, _levels, _assumptions)
+    return "\n".join("\n\n".join(section(figures)).rstrip("\n") + "\n" for section in sections)
 
 
 def _head(figures: dict[str, Any]) -> Iterator[str]:
     yield "## The lab"
-    yield ""
     yield f"    camber lab --seed {figures['seed']} --trials {figures['trials']} --out lab"
-    yield ""
     yield (
         f"Wrong fixes, right fixes and faults of random skies through the judge's own determination, with its "
         f"default limits. Seed {figures['seed']}, {figures['trials']:,} episodes of each kind in each of the two "
@@ -41,47 +32,48 @@ def _head(figures: dict[str, Any]) -> Iterator[str]:
     )
 
 
-def _asked(figures: dict[str, Any]) -> Iterator[str]:
+def _requirements(figures: dict[str, Any]) -> Iterator[str]:
     yield "### What is asked"
-    yield ""
-    rows = [
-        (what, asked, found, "yes" if met else "**no**") for what, asked, found, met in requirements(figures)
-    ]
+    rows = [(*row, "yes" if met else "**no**") for *row, met in requirements(figures)]
     yield table(("figure", "asked", "found", "met"), rows)
 
 
 def requirements(figures: dict[str, Any]) -> Iterator[tuple[str, str, str, bool]]:
-    """What, what is asked, what was found, and whether that is met."""
+    """What, what is asked, what was measured, and whether that is met."""
     for kind in ("search", "cycles"):
         for pose_sigma_m, beyond_m in ((0.05, 0.5), (0.10, 1.0)):
             threshold = _threshold(figures, kind, pose_sigma_m, beyond_m)
             control = threshold["controls"]["all, with residuals"]
             what = f"missed episodes beyond {beyond_m} m, LiDAR σ {pose_sigma_m:.2f} m ({kind})"
-            found = f"{control['missed']} of {threshold['harmful_episodes']:,}, ≤ {control['upper_95']:.1e}"
-            yield what, "≤ 1e-4", found, control["upper_95"] <= 1e-4
+            measured = (
+                f"{control['missed']} of {threshold['harmful_episodes']:,}, ≤ {control['upper_95']:.1e}"
+            )
+            yield what, "≤ 1e-4", measured, control["upper_95"] <= 1e-4
             alert = threshold["time_to_alert"]
             if alert["episodes"]:
                 within = alert["p99_s"] <= 0.2 and alert["max_s"] <= 1.0
-                found = f"{alert['p99_s']:.1f} s; {alert['max_s']:.1f} s ({alert['beyond_1_s']} beyond 1 s)"
-                yield f"time to alert there, p99; most ({kind})", "≤ 0.2 s; ≤ 1 s", found, within
+                measured = (
+                    f"{alert['p99_s']:.1f} s; {alert['max_s']:.1f} s ({alert['beyond_1_s']} beyond 1 s)"
+                )
+                yield f"time to alert there, p99; most ({kind})", "≤ 0.2 s; ≤ 1 s", measured, within
     for row in figures["alarms"][:2]:
         rate = row["false_alarm"]
-        found = (
+        measured = (
             f"{rate['rate']:.1e}, ≤ {rate['upper_95']:.1e} ({rate['effective_events']:.0f} effective events)"
         )
         what = f"false alarms of right epochs, LiDAR σ {row['pose_sigma_m']:.2f} m"
-        yield what, "≤ 1e-5", found, rate["upper_95"] <= 1e-5
+        yield what, "≤ 1e-5", measured, rate["upper_95"] <= 1e-5
     hazard = figures["hazard"]
-    found = f"{hazard['rate']:.1e}, ≤ {hazard['upper_95']:.1e}"
-    yield "hazardously misleading epochs, alert limit 1.5 m", "≤ 1e-7", found, hazard["upper_95"] <= 1e-7
+    measured = f"{hazard['rate']:.1e}, ≤ {hazard['upper_95']:.1e}"
+    yield "hazardously misleading epochs, alert limit 1.5 m", "≤ 1e-7", measured, hazard["upper_95"] <= 1e-7
     for mode, counts in figures["levels"]["modes"].items():
         inside, more = counts["inside_99"]["share"], counts["inside_999"]["share"]
         within = 0.990 <= inside <= 0.995 and 0.9990 <= more <= 0.9997
         yield f"inside 99 %; 99.9 %: {mode}", "99.0–99.5; 99.90–99.97", f"{inside:.2%}; {more:.3%}", within
         level, error = counts["median_level_m"], counts["median_error_m"]
         if mode == "rtk":
-            found = f"{level:.2f} m; {counts['p99_level_m']:.2f} m for 99 %"
-            yield "level at 1e-7, median: rtk with LiDAR", "≤ 1 m", found, level <= 1.0
+            measured = f"{level:.2f} m; {counts['p99_level_m']:.2f} m for 99 %"
+            yield "level at 1e-7, median: rtk with LiDAR", "≤ 1 m", measured, level <= 1.0
         else:
             yield (
                 f"level at 1e-7 by median error: {mode}",
@@ -94,34 +86,31 @@ def requirements(figures: dict[str, Any]) -> Iterator[tuple[str, str, str, bool]
 def _threshold(figures: dict[str, Any], kind: str, pose_sigma_m: float, beyond_m: float) -> dict[str, Any]:
     for row in figures["missed"]:
         if (row["kind"], row["pose_sigma_m"], row["map_sigma_m"]) == (kind, pose_sigma_m, 0.05):
-            found: dict[str, Any] = next(t for t in row["thresholds"] if t["beyond_m"] == beyond_m)
-            return found
+            matching: dict[str, Any] = next(t for t in row["thresholds"] if t["beyond_m"] == beyond_m)
+            return matching
     raise KeyError(f"no scene {kind}, {pose_sigma_m}")
 
 
-def _controls(figures: dict[str, Any]) -> Iterator[str]:
+def _baselines(figures: dict[str, Any]) -> Iterator[str]:
     yield "### Harmful episodes that are missed"
-    yield ""
     yield (
         "Share of the episodes with a horizontal error beyond the threshold of which a harmful epoch is confirmed, and "
         "its upper bound; in brackets those late, confirmed for a second on end or at all their harmful epochs."
     )
-    for kind in ("search", "cycles"):
+    for kind, heading in _KINDS.items():
         rows = []
         for row in figures["missed"]:
-            if row["kind"] != kind or (row["pose_sigma_m"], row["map_sigma_m"]) not in HEADLINE:
+            if row["kind"] != kind or scene_of(row) not in HEADLINE:
                 continue
             for t in row["thresholds"]:
-                scene = f"{row['pose_sigma_m']:.2f}", f"{row['map_sigma_m']:.2f}", f"{t['beyond_m']}"
-                cells = [_share(t["controls"][name]) for name in CONTROLS_SHOWN]
-                rows.append((*scene, f"{t['harmful_episodes']:,}", *cells))
-        yield ""
-        yield {
-            "search": "Integers found by LAMBDA from biased floats:",
-            "cycles": "Integers off by one to three cycles:",
-        }[kind]
-        yield ""
-        yield table(("LiDAR σ [m]", "map σ [m]", "beyond [m]", "episodes", *CONTROLS_SHOWN), rows)
+                cells = [_share(t["controls"][name]) for name in BASELINES]
+                rows.append((*_scene(row), f"{t['beyond_m']}", f"{t['harmful_episodes']:,}", *cells))
+        yield heading
+        yield table(("LiDAR σ [m]", "map σ [m]", "beyond [m]", "episodes", *BASELINES), rows)
+
+
+def _scene(row: dict[str, Any]) -> tuple[str, str]:
+    return f"{row['pose_sigma_m']:.2f}", f"{row['map_sigma_m']:.2f}"
 
 
 def _share(control: dict[str, Any]) -> str:
@@ -136,19 +125,15 @@ def _share(control: dict[str, Any]) -> str:
 
 def _curves(figures: dict[str, Any]) -> Iterator[str]:
     yield "### Over the size of the error"
-    yield ""
     yield "Share of the episodes of which any epoch is confirmed: height only / height and LiDAR / all, with residuals."
-    bins = [
-        f"{b['from_m']:g}–{b['to_m']:g}" if b["to_m"] else f"over {b['from_m']:g}"
-        for b in figures["missed"][0]["curve"]
-    ]
-    for kind in ("search", "cycles"):
+    for kind in _KINDS:
         scenes = [row for row in figures["missed"] if row["kind"] == kind]
         names = [f"LiDAR {row['pose_sigma_m']:.2f}, map {row['map_sigma_m']:.2f}" for row in scenes]
         rows = []
-        for k, name in enumerate(bins):
-            rows.append((f"{name} m", *(_three(row["curve"][k]) for row in scenes)))
-        yield ""
+        for bins in zip(*(row["curve"] for row in scenes), strict=True):
+            low_m, high_m = bins[0]["from_m"], bins[0]["to_m"]
+            size = f"{low_m:g}–{high_m:g}" if high_m else f"over {low_m:g}"
+            rows.append((f"{size} m", *map(_three, bins)))
         yield table((kind, *names), rows)
 
 
@@ -165,60 +150,51 @@ def _short(share: float) -> str:
 
 def _alarms(figures: dict[str, Any]) -> Iterator[str]:
     yield "### Right fixes"
-    yield ""
     yield "By importance sampling; a right fix is *contradicted* by mistake, or *held back* as unknown."
-    yield ""
-    rows = []
-    for row in figures["alarms"]:
-        alarm, held = row["false_alarm"], row["held_back"]
-        scene = f"{row['pose_sigma_m']:.2f}", f"{row['map_sigma_m']:.2f}"
-        effective = f"{alarm['effective_events']:.0f} of {alarm['draws']:,}"
-        rows.append(
-            (*scene, f"{alarm['rate']:.1e} ≤ {alarm['upper_95']:.1e}", effective, f"{held['rate']:.2%}")
-        )
-    yield table(("LiDAR σ [m]", "map σ [m]", "contradicted", "effective events of draws", "held back"), rows)
+    yield columns(
+        figures["alarms"],
+        {
+            "LiDAR σ [m]": lambda row: _scene(row)[0],
+            "map σ [m]": lambda row: _scene(row)[1],
+            "contradicted": lambda row: _rate(row["false_alarm"]),
+            "effective events of draws": lambda row: (
+                f"{row['false_alarm']['effective_events']:.0f} of {row['false_alarm']['draws']:,}"
+            ),
+            "held back": lambda row: f"{row['held_back']['rate']:.2%}",
+        },
+    )
+
+
+def _rate(rate: dict[str, Any]) -> str:
+    return f"{rate['rate']:.1e} ≤ {rate['upper_95']:.1e}"
 
 
 def _faults(figures: dict[str, Any]) -> Iterator[str]:
     faults = figures["faults"]
     yield "### Faults"
-    yield ""
     yield (
         f"LiDAR σ {faults['pose_sigma_m']:.2f} m, map σ {faults['map_sigma_m']:.2f} m; nothing claims the fault. Right "
         "integers by epoch, wrong ones by episode of ten seconds, harmful beyond 0.5 m."
     )
-    yield ""
-    rows = []
-    for row in faults["rows"]:
-        right = max(row["right"], 1)
-        harmful = f"{row['harmful_confirmed']:,} of {row['harmful']:,}" if row["harmful"] else "–"
-        missed = f"{row['missed']} of {row['episodes']:,} ≤ {row['missed_upper_95']:.1e}"
-        rows.append(
-            (
-                row["fault"],
-                f"{row['confirmed'] / right:.1%}",
-                f"{row['contradicted'] / right:.1%}",
-                harmful,
-                missed,
-            )
-        )
-    yield table(
-        (
-            "fault",
-            "right integers confirmed",
-            "contradicted",
-            "harmful and confirmed",
-            "wrong integers missed",
-        ),
-        rows,
+    yield columns(
+        faults["rows"],
+        {
+            "fault": lambda row: row["fault"],
+            "right integers confirmed": lambda row: f"{row['confirmed'] / max(row['right'], 1):.1%}",
+            "contradicted": lambda row: f"{row['contradicted'] / max(row['right'], 1):.1%}",
+            "harmful and confirmed": lambda row: (
+                f"{row['harmful_confirmed']:,} of {row['harmful']:,}" if row["harmful"] else "–"
+            ),
+            "wrong integers missed": lambda row: (
+                f"{row['missed']} of {row['episodes']:,} ≤ {row['missed_upper_95']:.1e}"
+            ),
+        },
     )
 
 
 def _levels(figures: dict[str, Any]) -> Iterator[str]:
     levels, hazard = figures["levels"], figures["hazard"]
     yield "### Bounds"
-    yield ""
-    limits = [f"< {limit:g} m" for limit in levels["alert_limits_m"]]
     rows = []
     for mode, c in levels["modes"].items():
         shares = [
@@ -227,33 +203,26 @@ def _levels(figures: dict[str, Any]) -> Iterator[str]:
         ]
         beyond = f"{c['beyond_level']['count']} ≤ {c['beyond_level']['upper_95']:.0e}"
         sizes = f"{c['median_error_m']:.3f}", f"{c['median_level_m']:.3f}", f"{c['level_by_error']:.1f}"
-        rows.append(
-            (mode, f"{c['draws']:,}", *shares, beyond, *sizes, *(f"{share:.2%}" for share in c["available"]))
-        )
-    yield table(
-        (
-            "mode", "draws", "inside 99 %", "inside 99.9 %", "beyond the level", "median error [m]",
-            f"level at {levels['risk']:g} [m]", "of error", *limits,
-        ),
-        rows,
+        available = [f"{share:.2%}" for share in c["available"]]
+        rows.append((mode, f"{c['draws']:,}", *shares, beyond, *sizes, *available))
+    head = (
+        "mode", "draws", "inside 99 %", "inside 99.9 %", "beyond the level", "median error [m]",
+        f"level at {levels['risk']:g} [m]", "of error", *(f"< {limit:g} m" for limit in levels["alert_limits_m"]),
     )  # fmt: skip
-    yield ""
+    yield table(head, rows)
     yield (
         f"Hazardously misleading (error beyond the level and beyond {hazard['alert_limit_m']} m while usable): "
         f"{hazard['rate']:.1e} per epoch, at most {hazard['upper_95']:.1e}, as the sum of"
     )
-    yield ""
-    rows = [
-        (
-            part["part"],
-            f"{part['share']:.1e}",
-            f"{part['rate']:.1e} ≤ {part['upper_95']:.1e}",
-            f"{part['effective']:.0f} of {part['draws']:,}",
-        )
-        for part in hazard["parts"]
-    ]
-    yield table(("part", "share of epochs (assumed)", "hazardous in it", "effective events of draws"), rows)
-    yield ""
+    yield columns(
+        hazard["parts"],
+        {
+            "part": lambda part: part["part"],
+            "share of epochs (assumed)": lambda part: f"{part['share']:.1e}",
+            "hazardous in it": _rate,
+            "effective events of draws": lambda part: f"{part['effective']:.0f} of {part['draws']:,}",
+        },
+    )
     at_fault = [part for part in hazard["parts"] if "pose at fault" in part["part"]]
     often = 1e-3 / hazard["pose_fault_prior"] * sum(part["share"] * part["upper_95"] for part in at_fault)
     yield (
@@ -264,15 +233,14 @@ def _levels(figures: dict[str, Any]) -> Iterator[str]:
 
 def _assumptions(figures: dict[str, Any]) -> Iterator[str]:
     yield "### Assumptions"
-    yield ""
-    rows = [(name, _text(value)) for name, value in figures["assumptions"].items()]
-    rows += [(f"judge: {name}", _text(value)) for name, value in figures["rules"].items()]
-    rows += [(f"true σ: {name}", _text(value)) for name, value in figures["true_sigma"].items()]
-    rows += [
-        (f"wrong fixes: {name}", _text(value)) for name, value in figures["level_rules"]["wrong_fix"].items()
-    ]
+    parts = (
+        ("", figures["assumptions"]),
+        ("judge: ", figures["rules"]),
+        ("true σ: ", figures["true_sigma"]),
+        ("wrong fixes: ", figures["level_rules"]["wrong_fix"]),
+    )
+    rows = [(f"{prefix}{name}", _text(value)) for prefix, part in parts for name, value in part.items()]
     yield table(("what", "value"), rows)
-    yield ""
     yield (
         "Not modelled: a pose that a wrong fix has pulled along, spoofing, and verification by other evidence than "
         "height, position and residuals. Every episode is judged once; the chance of k trials is at most k times that."
