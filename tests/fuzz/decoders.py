@@ -419,7 +419,9 @@ def _read_drive(data: bytes) -> None:
     drive = opendrive_map(data, "fuzz")
     if sum(road.length_m for road in drive.roads) < 2_000.0:  # long roads take time, and are no other roads
         ellipsoidal = vertical_datum("ellipsoidal", "WGS84", "fuzz")
-        frame, lanes = lanes_of_roads(drive, _FLAT_EARTH, ellipsoidal, frozenset(LANE_TYPES), "fuzz")
+        frame, lanes = lanes_of_roads(
+            drive, _FLAT_EARTH, ellipsoidal, types=frozenset(LANE_TYPES), file="fuzz"
+        )
         road_map(lanes, frame, _KNOWN, "fuzz")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,11 +16,15 @@ from camber.schemas.road import LAYERS
 from camber.tools.maps.release_at import release_at
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map diff"
 _MOVED_M = 1e-3  # chosen: far above the 0.06 mm to which tiles round positions
 _HEIGHT_M = 5e-5  # half of what tiles resolve
 _EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate distances
+_LISTS = (
+    "surfaces added", "surfaces removed", "surfaces moved", "other columns changed", "links added", "links removed",
+)  # fmt: skip
 _LATTICE = np.linspace(0.0, 1.0, 5)
 
 Report = dict[str, Any]
@@ -29,15 +32,20 @@ Report = dict[str, Any]
 
 def main(argv: Sequence[str]) -> int:
     """Print the differences of two releases; 0 done, also where there are any, 2 one cannot be read."""
-    args = _parser().parse_args(argv)
-    return report_failures(_PROG, args.b, lambda: _print(args))
+    parser = tool_parser(_PROG, __doc__)
+    parser.add_argument("a", type=Path, metavar="A", help="folder of a release, or a store")
+    parser.add_argument("b", type=Path, metavar="B", help="the same, later")
+    text = "lines of each kind (default: %(default)s)"
+    parser.add_argument("--most", type=whole_from(0, 10**9), default=20, metavar="N", help=text)
+    parser.add_argument("--json", action="store_true", help="all of it, for machines")
+    args = parser.parse_args(argv)
 
+    def work() -> int:
+        report = compared(release_at(args.a), release_at(args.b))
+        print(json.dumps(report, indent=2) if args.json else "\n".join(_lines(report, args.most)))
+        return 0
 
-def _print(args: argparse.Namespace) -> int:
-    report = compared(release_at(args.a), release_at(args.b))
-    text = json.dumps(report, indent=2) if args.json else "\n".join(_lines(report, args.most))
-    print(text)
-    return 0
+    return report_failures(_PROG, args.b, work)
 
 
 def compared(a: Release, b: Release) -> Report:
@@ -69,14 +77,13 @@ def _changes(before: RoadSurfaces, after: RoadSurfaces) -> tuple[list[Report], l
         surface_id = int(before.surface_id[i])
         difference_m = _heights(after.heights_m[j]) - _heights(before.heights_m[i])
         if np.abs(difference_m).max() > _HEIGHT_M:
-            changed.append(
-                {
-                    "surface": surface_id,
-                    "mean_m": round(float(difference_m.mean()), 4),
-                    "least_m": round(float(difference_m.min()), 4),
-                    "most_m": round(float(difference_m.max()), 4),
-                }
-            )
+            parts = {
+                "mean_m": difference_m.mean(),
+                "least_m": difference_m.min(),
+                "most_m": difference_m.max(),
+            }
+            rounded = {name: round(float(value), 4) for name, value in parts.items()}
+            changed.append({"surface": surface_id, **rounded})
         if _apart_m(before, i, after, j) > _MOVED_M:
             moved.append(surface_id)
         columns = ("level", "link_id", "sigma_m", "vehicles", "last_seen_ns")
@@ -98,9 +105,8 @@ def _apart_m(a: RoadSurfaces, i: int, b: RoadSurfaces, j: int) -> float:
     east_m = _EARTH_M * (b.longitude_rad[j] - a.longitude_rad[i]) * np.cos(a.latitude_rad[i])
     size_m = abs(b.half_length_m[j] - a.half_length_m[i]) + abs(b.half_width_m[j] - a.half_width_m[i])
     turn_rad = abs(np.sin(b.yaw_rad[j] - a.yaw_rad[i]))
-    return float(
-        np.hypot(east_m, north_m) + size_m + turn_rad * np.hypot(a.half_length_m[i], a.half_width_m[i])
-    )
+    radius_m = np.hypot(a.half_length_m[i], a.half_width_m[i])
+    return float(np.hypot(east_m, north_m) + size_m + turn_rad * radius_m)
 
 
 def _lineage(release: Release) -> list[list[int]]:
@@ -132,14 +138,7 @@ def _lines(report: Report, most: int) -> list[str]:
     lines = [f"{' → '.join(report['versions'])}"]
     if len(set(report["datums"])) > 1:
         lines.append(f"datum: {' → '.join(report['datums'])}: heights of different datums are not compared")
-    for name in (
-        "surfaces added",
-        "surfaces removed",
-        "surfaces moved",
-        "other columns changed",
-        "links added",
-        "links removed",
-    ):
+    for name in _LISTS:
         ids = report[name]
         lines.append(f"{name:<22} {len(ids)}{': ' + _few(ids, most) if ids else ''}")
     changed = sorted(report["heights changed"], key=lambda row: -abs(row["mean_m"]))
@@ -161,18 +160,3 @@ def _lines(report: Report, most: int) -> list[str]:
 
 def _few(ids: Sequence[int], most: int) -> str:
     return ", ".join(map(str, ids[:most])) + (", …" if len(ids) > most else "")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("a", type=Path, metavar="A", help="folder of a release, or a store")
-    parser.add_argument("b", type=Path, metavar="B", help="the same, later")
-    parser.add_argument(
-        "--most",
-        type=whole_from(0, 10**9),
-        default=20,
-        metavar="N",
-        help="lines of each kind (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="all of it, for machines")
-    return parser

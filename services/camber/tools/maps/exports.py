@@ -7,7 +7,6 @@ pcd       a folder for Autoware: the clouds in square cells, their metadata, and
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from camber.tools.maps.importers.rasters import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_public_key, tool_parser
 
 _PROG = "camber map export"
 _MOST_CELLS = 200_000_000  # chosen: bounds memory
@@ -38,32 +38,22 @@ _CLOUDS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
 
 def main(argv: Sequence[str]) -> int:
     """Export one release; 0 done, 2 an error, reported in one line."""
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__)
     parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
     parser.add_argument("--to", required=True, choices=sorted(_EXPORTERS))
     parser.add_argument("--out", type=Path, required=True, metavar="PATH")
-    parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
-    parser.add_argument(
-        "--cell-m",
-        type=number_from(0.01, 1e4, "m"),
-        metavar="D",
-        help="side of a cell: geotiff 0.5, pcd 20 where it is not given",
-    )
+    add_public_key(parser)
+    text = "side of a cell: geotiff 0.5, pcd 20 where it is not given"
+    parser.add_argument("--cell-m", type=number_from(0.01, 1e4, "m"), metavar="D", help=text)
     args = parser.parse_args(argv)
-    return report_failures(_PROG, args.out, lambda: _export(args))
 
+    def work() -> int:
+        key = None if args.public_key is None else load_public_key(args.public_key)
+        release = read_release(args.release, public_key=key)
+        print("\n".join(_EXPORTERS[args.to](release, str(args.release), args.out, args.cell_m)))
+        return 0
 
-def _export(args: argparse.Namespace) -> int:
-    key = None if args.public_key is None else load_public_key(args.public_key)
-    release = read_release(args.release, public_key=key)
-    for line in _EXPORTERS[args.to](release, str(args.release), args.out, args.cell_m):
-        print(line)
-    return 0
-
-
-# -- GeoJSON ---------------------------------------------------------------------------------------------------------
+    return report_failures(_PROG, args.out, work)
 
 
 def export_geojson(release: Release, name: str, out: Path, _: float | None) -> list[str]:
@@ -76,9 +66,6 @@ def export_geojson(release: Release, name: str, out: Path, _: float | None) -> l
     return [f"{out}: {len(surfaces)} surfaces, {len(links)} links{remark}"]
 
 
-# -- GeoTIFF ---------------------------------------------------------------------------------------------------------
-
-
 def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None) -> list[str]:
     """Write a file for each level. Raises FormatError for a map too large for cells of this size.
 
@@ -88,9 +75,8 @@ def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None)
     surfaces, side_m = release.road_surfaces(), cell_m or 0.5
     if not len(surfaces):
         raise FormatError(name, "surfaces", "at least one")
-    crs = crs_of(
-        release.manifest.datum, name, "datum", "one that PROJ knows (WGS84, ITRF2014, …)"
-    ).geodetic_crs.to_3d()
+    expected = "one that PROJ knows (WGS84, ITRF2014, …)"
+    crs = crs_of(release.manifest.datum, name, "datum", expected).geodetic_crs.to_3d()
     latitude_rad = float(np.median(surfaces.latitude_rad))
     cell_rad = np.array([side_m / prime_vertical_radius_m(latitude_rad) / np.cos(latitude_rad),
                          side_m / meridian_radius_m(latitude_rad)])  # fmt: skip
@@ -98,12 +84,13 @@ def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None)
     lines = []
     for level in np.unique(surfaces.level).tolist():
         path = out / f"level_{level}.tif"
-        known = _write_level(path, surfaces, np.flatnonzero(surfaces.level == level), crs, cell_rad)
+        rows = np.flatnonzero(surfaces.level == level)
+        known = _write_level(path, surfaces, rows, crs=crs, cell_rad=cell_rad)
         lines.append(f"{path}: {known} cells of {side_m:g} m with a height, {crs.name}, ellipsoidal heights")
     return lines
 
 
-def _write_level(path: Path, surfaces: RoadSurfaces, rows: Integers, crs: Any, cell_rad: Floats) -> int:
+def _write_level(path: Path, surfaces: RoadSurfaces, rows: Integers, *, crs: Any, cell_rad: Floats) -> int:
     """`cell_rad`: sides of a cell along longitude and latitude. Returns how many cells are known."""
     import rasterio
 
@@ -158,9 +145,6 @@ def _boxes(surfaces: RoadSurfaces, rows: Integers, cell_rad: Floats) -> tuple[Fl
     return (centre - reach) / cell_rad, (centre + reach) / cell_rad
 
 
-# -- PCD -------------------------------------------------------------------------------------------------------------
-
-
 def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> list[str]:
     """Write the cells that Autoware's map loaders take. Raises FormatError for a release without clouds."""
     side_m = cell_m or 20.0
@@ -183,9 +167,8 @@ def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> 
     metadata = [f"x_resolution: {side_m}", f"y_resolution: {side_m}"]
     for (x, y), part in zip((cells * side_m).tolist(), np.split(plane[order], first[1:]), strict=True):
         cell_name = f"{x:g}_{y:g}.pcd"
-        write_file(
-            out / "pointcloud_map" / cell_name, pcd_bytes(PointCloud(points_m=part.astype(np.float32)))
-        )
+        data = pcd_bytes(PointCloud(points_m=part.astype(np.float32)))
+        write_file(out / "pointcloud_map" / cell_name, data)
         metadata.append(f"{cell_name}: [{x:g}, {y:g}]")
     projector = [
         "projector_type: LocalCartesianUTM",

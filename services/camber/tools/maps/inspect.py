@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
 from camber.tools.maps.release_at import is_release, release_at
 from camber.tools.options.error_report import report_failures
+from camber.tools.options.parsers import add_public_key, tool_parser
 
 _PROG = "camber map inspect"
 _EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate lengths
@@ -33,15 +33,18 @@ Report = dict[str, Any]
 
 def main(argv: Sequence[str]) -> int:
     """Print what a path holds; 0 done, 2 it cannot be read."""
-    args = _parser().parse_args(argv)
-    return report_failures(_PROG, args.path, lambda: _print(args))
+    parser = tool_parser(_PROG, __doc__)
+    parser.add_argument("path", type=Path, metavar="RELEASE|STORE|FILE")
+    add_public_key(parser)
+    parser.add_argument("--json", action="store_true", help="all of it, for machines")
+    args = parser.parse_args(argv)
 
+    def work() -> int:
+        report = inspected(args.path, args.public_key)
+        print(json.dumps(report, indent=2, ensure_ascii=False) if args.json else "\n".join(_lines(report)))
+        return 0
 
-def _print(args: argparse.Namespace) -> int:
-    report = inspected(args.path, args.public_key)
-    text = json.dumps(report, indent=2, ensure_ascii=False) if args.json else "\n".join(_lines(report))
-    print(text)
-    return 0
+    return report_failures(_PROG, args.path, work)
 
 
 def inspected(path: Path, public_key: Path | None = None) -> Report:
@@ -58,18 +61,14 @@ def inspected(path: Path, public_key: Path | None = None) -> Report:
     return reader(path)
 
 
-# -- releases --------------------------------------------------------------------------------------------------------
-
-
 def _release(release: Release, *, checked: bool) -> Report:
     root, manifest = release.root, release.manifest
     signature = "none" if root.key_id is None else f"by key {root.key_id}"
     tiles, missing = _tiles(release)
     surfaces = surfaces_from_tiles(tiles["surfaces"])
     links = links_from_tiles(tiles["links"])
-    points = {
-        layer: sum(len(tile.quanta) for tile in tiles[layer]) for layer in ("environment_cloud", "road_cloud")
-    }
+    clouds = ("environment_cloud", "road_cloud")
+    points = {layer: sum(len(tile.quanta) for tile in tiles[layer]) for layer in clouds}
     report: Report = {
         "region": root.region,
         "version": root.map_version,
@@ -130,9 +129,6 @@ def _links(links: RoadLinks) -> Report:
     }
 
 
-# -- maps that are not imported yet ----------------------------------------------------------------------------------
-
-
 def _lanelet2(path: Path) -> Report:
     source = read_lanelet2(path)
     tags = Counter(lanelet.tags.get("subtype", "road") for lanelet in source.lanelets)
@@ -178,9 +174,6 @@ READERS: dict[str, Callable[[Path], Report]] = {".osm": _lanelet2, ".xodr": _ope
 """Ending of a file's name → what it holds."""
 
 
-# -- text ------------------------------------------------------------------------------------------------------------
-
-
 def _lines(report: Report) -> list[str]:
     lines = []
     for label, value in report.items():
@@ -222,13 +215,3 @@ def _place(latitude_rad: NDArray[np.float64], longitude_rad: NDArray[np.float64]
 
 def _day(time_ns: int) -> str:
     return text_from_calendar(gpst_from_gps_ns(max(time_ns, 0)))[:16]
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("path", type=Path, metavar="RELEASE|STORE|FILE")
-    parser.add_argument(
-        "--public-key", type=Path, metavar="PEM", help="key that must have signed the release"
-    )
-    parser.add_argument("--json", action="store_true", help="all of it, for machines")
-    return parser

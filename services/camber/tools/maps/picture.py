@@ -6,7 +6,6 @@ dark edge. Without --tile the whole map is drawn.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from camber.schemas.road import LAYERS
 from camber.tools.localize.map_drawing import draw_clouds, link_lines
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
+from camber.tools.options.parsers import add_public_key, add_with_default, tool_parser
 from camber.validation.plots import draw_lines, plot_style, png_bytes
 
 if TYPE_CHECKING:
@@ -34,46 +34,39 @@ if TYPE_CHECKING:
 _PROG = "camber map picture"
 _LINK, _EDGE = "#cd3c50", "#282c34"
 _SCALE = ("#3042a0", "#268caa", "#5ab96e", "#ebd750")
-_DPI = 100.0
+_DPI = 100.0  # chosen: lines of a pixel or two at the usual size
 _MARGIN_M = 5.0  # around the outermost surfaces; chosen: about a lane and a half
 
 
 def main(argv: Sequence[str]) -> int:
     """Draw one release; 0 done, 2 an error, reported in one line."""
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser = tool_parser(_PROG, __doc__)
     parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
-    parser.add_argument(
-        "--tile", type=whole_from(-(2**31), 2**31 - 1), nargs=2, metavar=("X", "Y"), help="only this one"
-    )
-    parser.add_argument(
-        "--pixels",
-        type=whole_from(16, 20_000),
-        default=1200,
-        help="of the longer side (default: %(default)s)",
-    )
-    parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
+    number = whole_from(-(2**31), 2**31 - 1)
+    parser.add_argument("--tile", type=number, nargs=2, metavar=("X", "Y"), help="only this one")
+    add_with_default(parser, "--pixels", 1200, "of the longer side", type=whole_from(16, 20_000))
+    add_public_key(parser)
     args = parser.parse_args(argv)
-    return report_failures(_PROG, args.out, lambda: _draw(args))
 
+    def work() -> int:
+        key = None if args.public_key is None else load_public_key(args.public_key)
+        release = read_release(args.release, public_key=key)
+        tile = None if args.tile is None else (args.tile[0], args.tile[1])
+        png, summary = picture(release, str(args.release), tile, args.pixels)
+        write_file(args.out, png)
+        print(f"{args.out}: {summary}")
+        return 0
 
-def _draw(args: argparse.Namespace) -> int:
-    key = None if args.public_key is None else load_public_key(args.public_key)
-    release = read_release(args.release, public_key=key)
-    tile = None if args.tile is None else (args.tile[0], args.tile[1])
-    png, summary = picture(release, str(args.release), tile, args.pixels)
-    write_file(args.out, png)
-    print(f"{args.out}: {summary}")
-    return 0
+    return report_failures(_PROG, args.out, work)
 
 
 def picture(release: Release, name: str, tile: Tile | None, pixels: int) -> tuple[bytes, str]:
     """The PNG of a release, or of one of its tiles, and a line about it. FormatError where there is nothing to draw."""
     tiles = sorted({xy for layer in LAYERS for xy in release.tiles(layer)})
     if not tiles or (tile is not None and tile not in tiles):
-        raise FormatError(
-            name, "tiles", "one of the release's" if tiles else "at least one", actual=str(tile)
-        )
+        expected = "one of the release's" if tiles else "at least one"
+        raise FormatError(name, "tiles", expected, actual=str(tile))
     surfaces = release.road_surfaces()
     frame, low_m, high_m = _extent(surfaces, tiles if tile is None else [tile], tile is None)
     with plot_style():
@@ -138,13 +131,9 @@ def _draw_surfaces(axes: Axes, surfaces: RoadSurfaces, frame: LocalFrame) -> tup
         heights_m = np.concatenate([mesh.heights_m for mesh in meshes])
         triangles = np.concatenate([mesh.triangles + n for mesh, n in zip(meshes, first[:-1], strict=True)])
         axes.tripcolor(
-            Triangulation(points_m[:, 0], points_m[:, 1], triangles),
-            heights_m,
-            shading="gouraud",
-            cmap=colours,
-            vmin=lowest_m,
-            vmax=max(highest_m, lowest_m + 1e-3),
-        )
+            Triangulation(points_m[:, 0], points_m[:, 1], triangles), heights_m, shading="gouraud", cmap=colours,
+            vmin=lowest_m, vmax=max(highest_m, lowest_m + 1e-3),
+        )  # fmt: skip
         if level > 0:
             draw_lines(axes, [side for mesh in meshes for side in mesh.sides_m], _EDGE, 1.0)
     return len(shown), lowest_m, highest_m
@@ -166,10 +155,8 @@ def _mesh(surfaces: RoadSurfaces, row: int, centre_m: Floats, frame: LocalFrame)
     sides = [np.linspace(-half, half, n) for half, n in zip(half_m, heights_m.shape, strict=True)]
     along, across = np.meshgrid(*sides, indexing="ij")
     convergence_rad = (surfaces.longitude_rad[row] - frame.longitude_rad) * np.sin(frame.latitude_rad)
-    cos, sin = (
-        np.cos(surfaces.yaw_rad[row] + convergence_rad),
-        np.sin(surfaces.yaw_rad[row] + convergence_rad),
-    )
+    yaw_rad = surfaces.yaw_rad[row] + convergence_rad
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     points_m = centre_m + np.stack((cos * along - sin * across, sin * along + cos * across), axis=-1)
     index = np.arange(heights_m.size).reshape(heights_m.shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))

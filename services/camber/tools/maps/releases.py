@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -25,25 +26,23 @@ from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.review import user_name
 from camber.tools.options.number_options import NUMBER
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map releases"
 
 
 def main(argv: Sequence[str]) -> int:
     """List, explain or go back; 0 done, 2 what was asked cannot be done."""
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__)
     parser.add_argument("path", type=Path, metavar="PATH", help="folder of releases, or a vehicle's store")
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument("--why", type=NUMBER, metavar="SURFACE", help="what a surface's height comes from")
-    choice.add_argument(
-        "--roll-back", type=NUMBER, metavar="VERSION", help="a new release as VERSION was (folder)"
-    )
+    for name, metavar, text in (
+        ("--why", "SURFACE", "what a surface's height comes from"),
+        ("--roll-back", "VERSION", "a new release as VERSION was (folder)"),
+        ("--allow-from", "VERSION", "let versions from this on come again (store)"),
+    ):
+        choice.add_argument(name, type=NUMBER, metavar=metavar, help=text)
     choice.add_argument("--go-back", action="store_true", help="the release before in force again (store)")
-    choice.add_argument(
-        "--allow-from", type=NUMBER, metavar="VERSION", help="let versions from this on come again (store)"
-    )
     parser.add_argument("--uploads", type=Path, help="with --why: uploads.sqlite, for the votes by pseudonym")
     parser.add_argument("--signing-key", type=Path, help="with --roll-back: the key that signs releases")
     parser.add_argument("--who", default=user_name(), help="with --roll-back: who does it (the user's name)")
@@ -60,9 +59,6 @@ def main(argv: Sequence[str]) -> int:
         return 2
 
 
-# -- the folder ------------------------------------------------------------------------------------------------------
-
-
 def _folder(args: argparse.Namespace) -> int:
     if args.go_back or args.allow_from is not None:
         raise ReleaseError(str(args.path), "path", "a vehicle's store for --go-back and --allow-from")
@@ -75,15 +71,13 @@ def _folder(args: argparse.Namespace) -> int:
     print(f"{'version':>8}  {'made':<10}  {'corrected':>9}  {'changed':>7}  {'tiles':>6}  {'MB':>8}")
     made = list(history(args.path))
     rows = [corrections_of(source, each.manifest) for each in made]
-    for each, mine, before in zip(made, rows, [*rows[1:], NONE], strict=True):
+    for each, corrections, before in zip(made, rows, [*rows[1:], NONE], strict=True):
         manifest = each.manifest
-        what = "reference" if manifest.reference_sha256 is None else f"{len(mine)}"
-        changed = len(other_offsets(mine, before)) + len(other_offsets(before, mine, gone=True))
-        day = _day(manifest.time_ns)
+        count = "reference" if manifest.reference_sha256 is None else f"{len(corrections)}"
+        changed = len(other_offsets(corrections, before)) + len(other_offsets(before, corrections, gone=True))
         size_mb = int(manifest.size_bytes.sum()) / 1e6
-        print(
-            f"{manifest.map_version:>8}  {day}  {what:>9}  {changed:>7}  {len(manifest.layer):>6}  {size_mb:>8.1f}"
-        )
+        row = f"{manifest.map_version:>8}  {_day(manifest.time_ns)}  {count:>9}  {changed:>7}"
+        print(f"{row}  {len(manifest.layer):>6}  {size_mb:>8.1f}")
     return 0
 
 
@@ -103,17 +97,15 @@ def _roll_back(args: argparse.Namespace) -> int:
     if args.signing_key is None or not args.reason:
         raise ReleaseError("roll-back", "--signing-key and --reason", "both")
     now_ns = SystemClock().now_ns()
-    making = ReleaseBuilder(
-        args.path, reference_in(args.path), signing_key=load_signing_key(args.signing_key)
-    )
+    key = load_signing_key(args.signing_key)
+    making = ReleaseBuilder(args.path, reference_in(args.path), signing_key=key)
     before = making.corrections()
     root = making.roll_back(args.roll_back, time_ns=now_ns)
     withdrawn = other_offsets(before, making.corrections())
     why = f"rolled back to version {args.roll_back}: {args.reason}"
     ReviewFolder(args.path).reject_again(withdrawn, who=args.who, why=why, time_ns=now_ns)
-    print(
-        f"version {root.map_version} has the corrections of {args.roll_back}; {len(withdrawn)} were withdrawn"
-    )
+    text = f"version {root.map_version} has the corrections of {args.roll_back}"
+    print(f"{text}; {len(withdrawn)} were withdrawn")
     return 0
 
 
@@ -149,11 +141,8 @@ def _votes(uploads: Path, surface_id: int) -> list[str]:
     if not uploads.is_file():
         raise ReleaseError(str(uploads), "file", "the uploads of map_update")
     try:
-        store = SqliteStore(uploads, read_only=True)
-        try:
+        with closing(SqliteStore(uploads, read_only=True)) as store:
             votes = store.votes_of(np.array([surface_id], np.int64))
-        finally:
-            store.close()
     except StoreError as error:
         raise ReleaseError(str(uploads), "file", f"the uploads of map_update ({error})") from None
     value_m = vote_values(votes)[0]
@@ -170,19 +159,14 @@ def _day(time_ns: int) -> str:
     return text_from_calendar(utc_from_gps_ns(time_ns))[:10]
 
 
-# -- a vehicle's store -----------------------------------------------------------------------------------------------
-
-
 def _store(args: argparse.Namespace) -> int:
     if args.roll_back is not None or args.why is not None:
         raise ReleaseError(str(args.path), "path", "a folder of releases for --roll-back and --why")
-    store = MapStore(args.path)
-    try:
+    with closing(MapStore(args.path)) as store:
         if args.go_back:
             kept = store.go_back()
-            print(
-                f"version {kept.map_version} is in force again; the vehicle's map_server takes it within seconds"
-            )
+            text = f"version {kept.map_version} is in force again"
+            print(f"{text}; the vehicle's map_server takes it within seconds")
             return 0
         if args.allow_from is not None:
             store.allow_from(args.allow_from)
@@ -194,6 +178,4 @@ def _store(args: argparse.Namespace) -> int:
             state = "in force" if kept == current else "before it" if kept == previous else state
             print(f"{kept.map_version:>8}  {kept.region:<16}  {kept.manifest_sha256[:16]}  {state}")
         print(f"highest version accepted: {store.highest()}")
-    finally:
-        store.close()
     return 0

@@ -1,7 +1,7 @@
 """`camber map review RELEASES`: changes of the map that wait for a person, and what is decided of them.
 
-RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers. Whoever decides
-says who and why; map_update takes it into its next round.
+RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers. A
+decision names who and why; map_update applies it in its next cycle.
 """
 
 from __future__ import annotations
@@ -17,21 +17,18 @@ from camber.map_update.release.review import HeldChange, ReviewAction, ReviewDec
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
 from camber.tools.options.number_options import NUMBER
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map review"
 
 
 def main(argv: Sequence[str]) -> int:
     """List or decide; 0 done, 2 what was asked cannot be done."""
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__)
     parser.add_argument("releases", type=Path, metavar="RELEASES", help="map_update's folder of releases")
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument("--accept", type=NUMBER, nargs="+", metavar="SURFACE", help="publish these changes")
-    choice.add_argument(
-        "--reject", type=NUMBER, nargs="+", metavar="SURFACE", help="do not publish these changes"
-    )
+    for name, text in (("--accept", "publish these changes"), ("--reject", "do not publish these changes")):
+        choice.add_argument(name, type=NUMBER, nargs="+", metavar="SURFACE", help=text)
     choice.add_argument("--log", action="store_true", help="show what was decided so far")
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
     parser.add_argument("--why", help="why; must be given with a decision")
@@ -69,19 +66,10 @@ def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
     unknown = sorted(set(chosen) - held.keys())
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
-    now_ns = SystemClock().now_ns()
+    decision = {"action": action, "who": args.who, "why": args.why, "time_ns": SystemClock().now_ns()}
+    offsets_m = {surface: held[surface].offset_m for surface in chosen}
     review.append(
-        [
-            ReviewDecision(
-                surface_id=surface,
-                action=action,
-                offset_m=held[surface].offset_m,
-                who=args.who,
-                why=args.why,
-                time_ns=now_ns,
-            )
-            for surface in chosen
-        ]
+        [ReviewDecision(surface_id=n, offset_m=offset_m, **decision) for n, offset_m in offsets_m.items()]
     )
     print(f"{len(chosen)} changes: {action}; map_update applies it in its next cycle")
     return 0

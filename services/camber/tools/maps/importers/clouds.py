@@ -79,7 +79,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     vertical: VerticalDatum | None = None
     parts, files = [], _files(args.files)
     for number, path in enumerate(files):
-        points_m, conversion = _placed(path, number, len(files), poses, roads.frame, args)
+        points_m, conversion = _placed(path, (number, len(files)), poses, frame=roads.frame, args=args)
         vertical = conversion or vertical
         parts.append(thinned(points_m, args.voxel_m) if len(points_m) else points_m)
     points_m = thinned(np.concatenate(parts), args.voxel_m)
@@ -131,9 +131,6 @@ def _files(paths: list[Path]) -> list[Path]:
             raise FormatError(str(path), "folder", f"clouds: {', '.join(_READERS)}")
         clouds += listed
     return clouds
-
-
-# -- poses -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -215,13 +212,13 @@ def _numbers(path: Path) -> list[str]:
     return [line for line in lines if line.strip() and not line.startswith("#")]
 
 
-# -- clouds ----------------------------------------------------------------------------------------------------------
-
-
 def _placed(
-    path: Path, number: int, count: int, poses: Poses, frame: LocalFrame, args: argparse.Namespace
+    path: Path, place: tuple[int, int], poses: Poses, *, frame: LocalFrame, args: argparse.Namespace
 ) -> tuple[Floats, VerticalDatum | None]:
-    """Points (n, 3): east, north in the plane of `frame` and ellipsoidal height; what made them that, for LAS."""
+    """Points (n, 3): east, north in the plane of `frame` and ellipsoidal height; what made them that, for LAS.
+
+    `place`: number of the cloud, and how many there are.
+    """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise FormatError(str(path), "name", f"one of {', '.join(_READERS)}")
@@ -232,7 +229,7 @@ def _placed(
     if args.sweeps:
         x, y, z, *angles = args.sensor
         pose_from_sensor = map_from_vehicle(x, y, z, *map(math.radians, angles))
-        placed = transform_points(poses.of_sweep(path, number, count) @ pose_from_sensor, points)
+        placed = transform_points(poses.of_sweep(path, *place) @ pose_from_sensor, points)
         latitude, longitude, height_m = poses.frame.geodetic_from_enu_array(placed)
     elif crs_wkt is not None:
         horizontal, stated = horizontal_and_vertical(

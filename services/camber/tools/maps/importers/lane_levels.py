@@ -50,9 +50,9 @@ def cuts_and_levels(
     torn = {group[a] for a, b in over if group[a] == group[b]}
     alone = [k if g in torn else g for k, g in enumerate(group)]
     try:
-        levels = _levels(alone, over, stated_levels, names, file)
+        levels = _levels(alone, over, stated_levels, names=names, file=file)
     except FormatError:
-        levels = _levels(list(range(len(stated_levels))), over, stated_levels, names, file)
+        levels = _levels(list(range(len(stated_levels))), over, stated_levels, names=names, file=file)
     return cuts, [levels[a:b] for a, b in pairwise(starts.tolist())]
 
 
@@ -113,6 +113,7 @@ def _levels(
     group: Sequence[int],
     over: set[Pair],
     stated_levels: Sequence[int | None],
+    *,
     names: Sequence[str],
     file: str,
 ) -> list[int]:

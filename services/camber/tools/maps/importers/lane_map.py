@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
-from camber.tools.maps.importers.lanes import Floats, Lane, distance_along, named_id
+from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, named_id
 
 _STEP_M = 0.01
 """Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""
@@ -41,20 +41,21 @@ def road_map(
     cuts, levels = cuts_and_levels(lanes, pieces, file)
     links: list[_LaneLink] = []
     link_of, level_of, id_of = [], [], []
-    for lane, own, cut, level in zip(lanes, pieces, cuts, levels, strict=True):
-        parts = _links(lane, own, cut, level)
-        of_piece = np.searchsorted(cut, np.arange(len(own)), "right")
+    for lane, of_lane, cut, level in zip(lanes, pieces, cuts, levels, strict=True):
+        parts = _links(lane, of_lane, cut, level)
+        of_piece = np.searchsorted(cut, np.arange(len(of_lane)), "right")
         link_of += [parts[k].link_id for k in of_piece]
         level_of += [parts[k].level for k in of_piece]
-        id_of += [named_id("surface", lane.name, lane.plan, k) for k in range(len(own))]
+        id_of += [named_id("surface", lane.name, lane.plan, k) for k in range(len(of_lane))]
         links += parts
-    flat = [piece for own in pieces for piece in own]
+    flat = [piece for of_lane in pieces for piece in of_lane]
     remarks = [
         f"{file}: {lane.name}: heights make a step, σ of a surface is up to {worst_m:.2f} m"
-        for lane, own in zip(lanes, pieces, strict=True)
-        if (worst_m := max(piece.off_m for piece in own)) > _STEP_M
+        for lane, of_lane in zip(lanes, pieces, strict=True)
+        if (worst_m := max(piece.off_m for piece in of_lane)) > _STEP_M
     ]
-    surfaces = _surfaces(flat, frame, known, id_of, link_of, level_of)
+    columns = {"surface_id": id_of, "link_id": link_of, "level": level_of}
+    surfaces = _surfaces(flat, frame, known, {name: np.array(ids, np.int64) for name, ids in columns.items()})
     return surfaces, _road_links(links, frame, known), remarks
 
 
@@ -124,8 +125,10 @@ def _links(
     for k, (begin, end) in enumerate(pairwise(at_m.tolist())):
         at = np.concatenate(([begin], along_m[(along_m > begin + 1e-3) & (along_m < end - 1e-3)], [end]))
         part_m = np.column_stack([np.interp(at, along_m, line_m[:, axis]) for axis in (0, 1)])
-        own = lane.link_id if not cuts else named_id("link", lane.name, k)
-        links.append(_LaneLink(link_id=own, nodes=(nodes[k], nodes[k + 1]), level=levels[k], line_m=part_m))
+        link_id = lane.link_id if not cuts else named_id("link", lane.name, k)
+        links.append(
+            _LaneLink(link_id=link_id, nodes=(nodes[k], nodes[k + 1]), level=levels[k], line_m=part_m)
+        )
     return links
 
 
@@ -136,24 +139,17 @@ def _nearest(along_m: Floats, pieces: Sequence[LanePiece], cut: int) -> float:
 
 
 def _surfaces(
-    pieces: Sequence[LanePiece],
-    frame: LocalFrame,
-    known: LaneSurvey,
-    ids: Sequence[int],
-    links: Sequence[int],
-    levels: Sequence[int],
+    pieces: Sequence[LanePiece], frame: LocalFrame, known: LaneSurvey, numbers: Mapping[str, Integers]
 ) -> RoadSurfaces:
+    """`numbers`: ids, links and levels of the surfaces by column."""
     n = len(pieces)
     centre_m = np.array([piece.centre_m for piece in pieces]).reshape(n, 2)
     latitude, longitude, _ = frame.geodetic_from_east_north_array(centre_m, np.zeros(n))
     # The frame's north is not quite that of the place.
-    turned = ((longitude - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi) * math.sin(
-        frame.latitude_rad
-    )
+    east_rad = (longitude - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
+    turned = east_rad * math.sin(frame.latitude_rad)
     return RoadSurfaces(
-        surface_id=np.array(ids, np.int64),
-        link_id=np.array(links, np.int64),
-        level=np.array(levels, np.int64),
+        **numbers,
         latitude_rad=latitude,
         longitude_rad=longitude,
         yaw_rad=np.array([piece.yaw_rad for piece in pieces]) - turned,

@@ -22,10 +22,10 @@ from camber.tools.maps.importers.lanes import Floats, Integers, Lane
 # Chosen: docs/maps.md, from lanes to surfaces; a piece must be nearly straight and of nearly constant width.
 _LONGEST_M = 20.0
 _TURN_RAD = math.radians(12.0)
-_SAGITTA_M = 0.05
-_WIDENING_M = 0.4
-_STEP_M = 1.0
-_LEAST_HALF_M = 0.05
+_SAGITTA_M = 0.05  # chosen: about the σ of good maps
+_WIDENING_M = 0.4  # chosen: a tenth of a lane's width
+_STEP_M = 1.0  # chosen: finer than the features of a lane's border
+_LEAST_HALF_M = 0.05  # chosen: keeps the rectangle of a lane without length from being empty
 _NARROW_M = 0.5
 """Where borders are nearer than this, the slope across is taken as if they were this far apart."""
 _FINE_M, _FINE_ROWS, _COARSE_M = 0.0005, 9, 0.003
@@ -53,7 +53,7 @@ class LanePiece:
 def pieces_of(lane: Lane, file: str) -> list[LanePiece]:
     """The pieces of a lane from its beginning to its end; FormatError for a lane that is no road."""
     sections = _dense(lane, file)
-    return [_piece(lane, sections, first, last, file) for first, last in _cuts(sections)]
+    return [_piece(lane, sections, ends, file) for ends in _cuts(sections)]
 
 
 def _dense(lane: Lane, file: str) -> Floats:
@@ -99,15 +99,15 @@ def _cuts(sections: Floats) -> Iterator[tuple[int, int]]:
         first = last
 
 
-def _piece(lane: Lane, sections: Floats, first: int, last: int, file: str) -> LanePiece:
-    part = sections[first : last + 1]
+def _piece(lane: Lane, sections: Floats, ends: tuple[int, int], file: str) -> LanePiece:
+    part = sections[ends[0] : ends[1] + 1]
     ends_m = 0.5 * (part[[0, -1], 0, :2] + part[[0, -1], -1, :2])
     yaw_rad = math.atan2(ends_m[1, 1] - ends_m[0, 1], ends_m[1, 0] - ends_m[0, 0])
     axes = np.array([[math.cos(yaw_rad), -math.sin(yaw_rad)], [math.sin(yaw_rad), math.cos(yaw_rad)]])
     uv = (part[:, :, :2] @ axes).reshape(-1, 2)
     low, high = uv.min(axis=0), uv.max(axis=0)
     centre_uv, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), _LEAST_HALF_M)
-    lines = _lines(sections, first, last, axes, centre_uv, float(half[0]))
+    lines = _lines(sections, ends, axes=axes, centre_uv=centre_uv, half_m=float(half[0]))
     heights_m, off_m = _grid(lines, part[:, :, 2].ravel(), uv - centre_uv, half)
     slope = [
         np.abs(np.diff(heights_m, axis=a)).max() * (heights_m.shape[a] - 1) / (2.0 * half[a]) for a in (0, 1)
@@ -153,9 +153,10 @@ class _Line:
 
 
 def _lines(
-    sections: Floats, first: int, last: int, axes: Floats, centre_uv: Floats, half_m: float
+    sections: Floats, ends: tuple[int, int], *, axes: Floats, centre_uv: Floats, half_m: float
 ) -> list[_Line]:
     """The lane's lines along, as far as they go forward in the piece's axes, and no farther than the piece needs."""
+    first, last = ends
     before, after = max(first - 30, 0), min(last + 31, len(sections))
     around = sections[before:after]
     uv = around[:, :, :2] @ axes - centre_uv

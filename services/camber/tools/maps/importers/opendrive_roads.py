@@ -65,7 +65,8 @@ def build(args: argparse.Namespace) -> BuiltMap:
         raise FormatError(file, "header, geoReference", expected, actual="none")
     projection = projection_of(text, args.datum, file, "header, geoReference")
     vertical = vertical_of(args, file, projection.vertical)
-    frame, lanes = lanes_of(drive, projection, vertical, frozenset(args.lane_types.split(",")), file)
+    types = frozenset(args.lane_types.split(","))
+    frame, lanes = lanes_of(drive, projection, vertical, types=types, file=file)
     known = lane_survey(args, vertical)
     surfaces, links, steps = road_map(lanes, frame, known, file)
     return BuiltMap(
@@ -77,7 +78,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
 
 
 def lanes_of(
-    drive: OpenDrive, projection: Projection, vertical: VerticalDatum, types: frozenset[str], file: str
+    drive: OpenDrive, projection: Projection, vertical: VerticalDatum, *, types: frozenset[str], file: str
 ) -> tuple[LocalFrame, list[Lane]]:
     """The lanes of some types in the plane of a frame in their middle, with ellipsoidal heights."""
     pieces = [
@@ -98,7 +99,9 @@ def lanes_of(
     lanes = []
     for (road, number, lane, points), part in zip(pieces, np.split(plane, sizes[:-1]), strict=True):
         place = repr((drive.georeference, drive.offset_m[:2]))
-        lanes.append(_lane(road, number, lane, part.reshape(points.shape), node_of, place))
+        lanes.append(
+            _lane(road, number, lane, points=part.reshape(points.shape), node_of=node_of, place=place)
+        )
     return frame, lanes
 
 
@@ -120,7 +123,13 @@ def _lanes_of(
 
 
 def _lane(
-    road: OpenDriveRoad, number: int, lane: OpenDriveLane, points: Floats, node_of: dict[End, str], place: str
+    road: OpenDriveRoad,
+    number: int,
+    lane: OpenDriveLane,
+    *,
+    points: Floats,
+    node_of: dict[End, str],
+    place: str,
 ) -> Lane:
     name = f"road {road.identity}, section {number}, lane {lane.lane_id}"
     ends = [node_of.get(end, " ".join(map(str, end))) for end in _ends(road, number, lane.lane_id)]
@@ -142,9 +151,6 @@ def _lane(
         nodes=(ends[0], ends[1]),
         borders=(f"{side} {right}", f"{side} {left}"),
     )
-
-
-# -- what goes on to what --------------------------------------------------------------------------------------------
 
 
 def _ends(road: OpenDriveRoad, number: int, lane: int) -> tuple[End, End]:
