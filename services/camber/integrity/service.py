@@ -12,7 +12,8 @@ from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.learning.height_correction import Learning, LearningRules
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.integrity.learning.saved_state import from_text, to_text
-from camber.integrity.protection.position_output import PositionOutput, is_provisional, unavailable_position
+from camber.integrity.protection.fault_hypotheses import is_provisional
+from camber.integrity.protection.position_output import PositionOutput, unavailable_position
 from camber.integrity.publish_schedule import PublishSchedule
 from camber.integrity.re_estimation.requests import (
     QueryBackoff,
@@ -51,8 +52,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._newest_ns = 0  # of all messages received
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was received
         self._schedule = PublishSchedule()
-        self._levels = self._rules.levels
-        self._positions = PositionOutput(self._rules, self._levels)
+        self._positions = PositionOutput(self._rules)
         self._gnss = QueryBackoff()
         self._collector = UploadBatcher(settings.upload_every_s)
         self._uploader = self._make_uploader() if settings.upload and settings.state_dir else None
@@ -205,7 +205,7 @@ class IntegrityService(Service[IntegritySettings]):
             self._schedule.unavailable_position(now_ns)
             position = self._positions.at(now_ns, inputs, self._judge.correction(inputs).correction_m)
             if position.source == "none":
-                position = unavailable_position(now_ns, missing, self._rules, self._levels)
+                position = unavailable_position(now_ns, missing, self._rules)
             self.bus.publish("position", position)
 
     def _silence_reason(self, now_ns: int, inputs: EpochInputs) -> Reason | None:

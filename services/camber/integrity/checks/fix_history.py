@@ -12,7 +12,7 @@ from camber.integrity.checks.time_series import ChainedFix, continues_chain, nex
 from camber.integrity.checks.verification import AmbiguityHistory
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import inflate_covariance
-from camber.integrity.protection.position_output import is_provisional
+from camber.integrity.protection.fault_hypotheses import is_provisional
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose

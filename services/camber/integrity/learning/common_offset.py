@@ -9,7 +9,7 @@ numpy only. Arrays (n,), metres and seconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +35,7 @@ class HeightDifferences:
 
     def only(self, kept: NDArray[np.bool_]) -> HeightDifferences:
         """Some of them."""
-        return HeightDifferences(
-            up_m=self.up_m[kept],
-            variance_m2=self.variance_m2[kept],
-            map_sigma_m=self.map_sigma_m[kept],
-            place_m=self.place_m[kept],
-            time_s=self.time_s[kept],
-        )
+        return HeightDifferences(**{each.name: getattr(self, each.name)[kept] for each in fields(self)})
 
     def covariance_m2(self, correlation_m: float) -> Floats:
         """(n, n) of the differences, if they have one value in common."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -110,7 +110,7 @@ class Learning:
         if (part.base, part.map_version) == (key.base, key.map_version) or self.rules.mode == "document":
             return correction
         sigma_m = math.hypot(correction.sigma_m, self.rules.release_sigma_m)
-        return Correction(correction_m=correction.correction_m, sigma_m=sigma_m, samples=correction.samples)
+        return replace(correction, sigma_m=sigma_m)
 
     def diagnosis(self, surface_id: int | None) -> Diagnosis:
         """The cause of a lasting difference on this surface, if one is known."""
@@ -222,8 +222,7 @@ class Learning:
         before = [(cell, m) for cell, m in part.cells if cell.end_ns <= onset_ns]
         since = [m for cell, m in part.cells if cell.end_ns > onset_ns]
         if since:
-            known = part.correction
-            part.correction = Correction(correction_m=since[0], sigma_m=known.sigma_m, samples=known.samples)
+            part.correction = replace(part.correction, correction_m=since[0])
         if not keep:
             part.cells = deque(before, _MOST_CELLS)
 
@@ -255,9 +254,7 @@ class Learning:
     def _open(self, part: CorrectionState, correction: Correction) -> None:
         """Begin from what is known, less surely: the differences so far had another cause."""
         sigma_m = math.hypot(correction.sigma_m, self.rules.release_sigma_m)
-        part.correction = Correction(
-            correction_m=correction.correction_m, sigma_m=sigma_m, samples=correction.samples
-        )
+        part.correction = replace(correction, sigma_m=sigma_m)
         part.prior_m, part.prior_sigma_m = correction.correction_m, sigma_m
         part.held_m = None
         part.cells.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
@@ -48,15 +49,7 @@ def to_text(learning: Learning) -> str:
         )
         for part in learning.parts
     )
-    roads = tuple(
-        _SavedRoadChange(
-            surface_id=road.surface_id,
-            map_version=road.map_version,
-            offset_m=road.offset_m,
-            onset_ns=road.onset_ns,
-        )
-        for road in learning.causes.roads.values()
-    )
+    roads = tuple(_SavedRoadChange(**asdict(road)) for road in learning.causes.roads.values())
     return _SavedLearning(format=1, parts=parts, roads=roads[-4096:]).model_dump_json()
 
 
@@ -79,12 +72,7 @@ def from_text(text: str, rules: LearningRules) -> Learning:
     return Learning(
         rules,
         [_part_of(part, rules) for part in kept.parts],
-        [
-            RoadChange(
-                surface_id=r.surface_id, map_version=r.map_version, offset_m=r.offset_m, onset_ns=r.onset_ns
-            )
-            for r in kept.roads
-        ],
+        [RoadChange(**road.model_dump()) for road in kept.roads],
     )
 
 

@@ -121,14 +121,12 @@ class DopplerPosition:
         if wheels_m_s is not None and not self._is_driven(first[0], wheels_m_s):
             self._sum = None
             return
-        nothing = np.zeros((3, 3))
-        at_start = replace(first[0], time_ns=time_ns)
         running: _Sum | None = _Sum(
             since_ns=time_ns,
-            velocity=at_start,
+            velocity=replace(first[0], time_ns=time_ns),
             metres=np.zeros(3),
-            covariance_m2=nothing,
-            with_velocity=nothing,
+            covariance_m2=np.zeros((3, 3)),
+            with_velocity=np.zeros((3, 3)),
             checked=wheels_m_s is not None,
         )
         for velocity in later:
@@ -165,10 +163,9 @@ class DopplerPosition:
             + ahead_s**2 * velocity.covariance_m2_s2
             + turned_m**2 * np.eye(3)
         )
-        metres = result.metres + ahead_s * velocity.metres_s
         return Displacement(
             since_ns=result.since_ns,
-            metres=metres,
+            metres=result.metres + ahead_s * velocity.metres_s,
             covariance_m2=covariance,
             yaw_rad=velocity.yaw_rad,
             checked=result.checked,
@@ -206,33 +203,18 @@ class DopplerPosition:
         )
         with_velocity = rho * common + 0.5 * step_s * (rho * mean + now.covariance_m2_s2)
         metres = last.metres + 0.5 * step_s * (before.metres_s + now.metres_s)
+        sum_now = replace(
+            last, velocity=now, metres=metres, covariance_m2=covariance, with_velocity=with_velocity
+        )
         wheels_m_s = self._speed_at(now.time_ns)
         if wheels_m_s is None:
-            return _Sum(
-                since_ns=last.since_ns,
-                velocity=now,
-                metres=metres,
-                covariance_m2=covariance,
-                with_velocity=with_velocity,
-                path_m=last.path_m,
-                slip_m=last.slip_m,
-                checked=False,
-            )
-        over_m_s = _over_m_s(now, wheels_m_s)
-        path_m, slip_m = last.path_m + abs(wheels_m_s) * step_s, last.slip_m + over_m_s * step_s
+            return replace(sum_now, checked=False)
+        path_m = last.path_m + abs(wheels_m_s) * step_s
+        slip_m = last.slip_m + _over_m_s(now, wheels_m_s) * step_s
         path_limit = rules.path_gate_m + rules.path_share * path_m + rules.sigmas * _largest_sigma(covariance)
         if not (self._is_driven(now, wheels_m_s) and abs(slip_m) <= path_limit):
             return None
-        return _Sum(
-            since_ns=last.since_ns,
-            velocity=now,
-            metres=metres,
-            covariance_m2=covariance,
-            with_velocity=with_velocity,
-            path_m=path_m,
-            slip_m=slip_m,
-            checked=last.checked,
-        )
+        return replace(sum_now, path_m=path_m, slip_m=slip_m)
 
     def _is_driven(self, velocity: _Velocity, wheels_m_s: float) -> bool:
         """Is it one that a vehicle whose wheels turn so fast can have, along its way and upwards?"""

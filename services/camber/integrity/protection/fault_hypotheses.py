@@ -43,7 +43,7 @@ UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
 _MOST_LOG_ODDS = 30.0  # chosen: odds of 1e13 are certainty in floats, and exp does not overflow
 _NOT_OF_THE_POSE = frozenset({"phase_residuals_contradict", "receiver_warns", "common_offset"})
 """It is the fix by its own account, or the base: neither says that the pose is wrong."""
-_MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset suspected
+_MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset of the latent fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,10 +100,7 @@ class LatentFaultHypothesis:
     def part(self, weight: float) -> MixtureComponent:
         """What was pulled along."""
         return MixtureComponent(
-            weight=weight,
-            mean_m=(0.0, 0.0, 0.0),
-            horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2),
-            up_m2=self.up_m2,
+            weight=weight, horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2), up_m2=self.up_m2
         )
 
 
@@ -118,24 +115,24 @@ class MatchCorroboration:
         self._last: tuple[float, float] | None = None
         self._before: LatentFaultHypothesis | None = None
 
-    def update(self, pose: Pose, suspicion: LatentFaultHypothesis) -> LatentFaultHypothesis:
-        """The suspicion after a pose."""
+    def update(self, pose: Pose, latent_fault: LatentFaultHypothesis) -> LatentFaultHypothesis:
+        """The fault hypothesis after a pose."""
         if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
-            return suspicion
+            return latent_fault
         here = pose.latitude_rad, pose.longitude_rad
         if self._last is None:
             self._last = here
         if self._before is None:
             far = math.hypot(*east_north_between(*self._last, *here)) >= self._rules.matches_apart_m
-            if far and suspicion.time_ns is not None:
-                self._before = suspicion
-            return suspicion
+            if far and latent_fault.time_ns is not None:
+                self._before = latent_fault
+            return latent_fault
         assert self._before.time_ns is not None
         newer = pose.match_time_ns is not None and pose.match_time_ns > self._before.time_ns
-        if not newer or not _MATCH_SIGMAS**2 * _larger_m2(pose) <= suspicion.horizontal_m2:
-            return suspicion
+        if not newer or not _MATCH_SIGMAS**2 * _larger_m2(pose) <= latent_fault.horizontal_m2:
+            return latent_fault
         before, self._last, self._before = self._before, here, None
-        return suspicion.corroborate(before, self._rules)
+        return latent_fault.corroborate(before, self._rules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,12 +222,12 @@ class PositionCandidate:
     fix_id: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ConfirmedPosition:
-    """A confirmed fix as a position, and the suspicion that it leaves."""
+    """A confirmed fix as a position, and the fault hypothesis that it leaves."""
 
     candidate: PositionCandidate
-    suspicion: LatentFaultHypothesis
+    latent_fault: LatentFaultHypothesis
 
 
 def confirmed_fix(
@@ -245,12 +242,7 @@ def confirmed_fix(
     pulled = before.remaining_share(fix.time_ns, rules.wrong_fix) * before.odds
     total = 1.0 + odds + pulled
     parts = (
-        MixtureComponent(
-            weight=1.0 / total,
-            mean_m=(0.0, 0.0, 0.0),
-            horizontal_m2=_horizontal(covariance),
-            up_m2=covariance[5],
-        ),
+        MixtureComponent(weight=1.0 / total, horizontal_m2=_horizontal(covariance), up_m2=covariance[5]),
         *_by_road(wrong, odds / total, rules),
         _wider(before.part(pulled / total), covariance),
     )
@@ -266,7 +258,8 @@ def confirmed_fix(
         wrong=probability,
         fix_id=fix.fix_id,
     )
-    return ConfirmedPosition(candidate, before.after(fix.time_ns, odds, wrong, rules.wrong_fix))
+    after = before.after(fix.time_ns, odds, wrong, rules.wrong_fix)
+    return ConfirmedPosition(candidate=candidate, latent_fault=after)
 
 
 def of_doppler(
@@ -300,37 +293,27 @@ def of_doppler(
 def of_pose(
     inputs: EpochInputs,
     correction_m: float,
-    suspicion: LatentFaultHypothesis,
+    latent_fault: LatentFaultHypothesis,
     rules: Rules,
-    levels: LevelRules,
     dispute: PoseDispute | None = None,
 ) -> PositionCandidate:
     """The pose's antenna on its road. `inputs.missing_pose` has to be None."""
-    pose = inputs.pose
-    assert pose is not None
+    pose, levels = inputs.known_pose, rules.levels
     assert pose.latitude_rad is not None
     assert pose.longitude_rad is not None
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     height_m, up_m2 = height_on_road(inputs, correction_m, rules)
     alone = MixtureComponent(
-        weight=1.0,
-        mean_m=(0.0, 0.0, 0.0),
-        horizontal_m2=(ee, en, nn),
-        up_m2=up_m2 if height_m is not None else math.inf,
+        weight=1.0, horizontal_m2=(ee, en, nn), up_m2=up_m2 if height_m is not None else math.inf
     )
-    parts: tuple[MixtureComponent, ...]
+    parts: tuple[MixtureComponent, ...] = _by_road(alone, 1.0, levels)
     wrong: float | None = None
-    if not rests_on_fixes(pose):
-        parts = _by_road(alone, 1.0, levels)
-    else:
-        wrong = suspicion.odds / (1.0 + suspicion.odds)
-        pulled = MixtureComponent(
-            weight=wrong,
-            mean_m=(0.0, 0.0, 0.0),
-            horizontal_m2=(ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
-            up_m2=alone.up_m2,  # the height is that of the road
-        )
+    if rests_on_fixes(pose):
+        wrong = latent_fault.odds / (1.0 + latent_fault.odds)
+        # The height is that of the road.
+        wider = (ee + latent_fault.horizontal_m2, en, nn + latent_fault.horizontal_m2)
+        pulled = replace(alone, weight=wrong, horizontal_m2=wider)
         parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
@@ -366,16 +349,11 @@ def _larger_m2(pose: Pose) -> float:
 
 def height_on_road(inputs: EpochInputs, correction_m: float, rules: Rules) -> tuple[float | None, float]:
     """Height of the antenna on the road below it, and its variance with the slope's share of the pose's error."""
-    pose, antenna = inputs.pose, inputs.antenna
-    assert pose is not None
+    pose, antenna = inputs.known_pose, inputs.antenna
     assert pose.covariance_east_north_yaw is not None
     road = pose.road
-    if (
-        inputs.missing_road(pose.time_ns, rules) is not None
-        or inputs.missing_antenna(pose.time_ns, rules) is not None
-    ):
-        return None, UNKNOWN_HEIGHT_M2
-    if road.slope_east is None or road.slope_north is None:
+    missing = inputs.missing_road(pose.time_ns, rules) or inputs.missing_antenna(pose.time_ns, rules)
+    if missing is not None or road.slope_east is None or road.slope_north is None:
         return None, UNKNOWN_HEIGHT_M2
     assert road.elevation_m is not None
     assert road.sigma_m is not None
@@ -398,10 +376,7 @@ def _if_wrong(
     prior_log_odds = rules.prior_log_odds(judgement.fix.satellites)
     if result is None or pose is None or pose.covariance_east_north_yaw is None:
         unknown = MixtureComponent(
-            weight=1.0,
-            mean_m=(0.0, 0.0, 0.0),
-            horizontal_m2=(horizontal_m2, 0.0, horizontal_m2),
-            up_m2=vertical_m2,
+            weight=1.0, horizontal_m2=(horizontal_m2, 0.0, horizontal_m2), up_m2=vertical_m2
         )
         return judgement.trials * math.exp(prior_log_odds), unknown
     east_m, north_m, up_m = result.difference_m.tolist()
@@ -436,21 +411,9 @@ def _by_road(
     part: MixtureComponent, weight: float, rules: LevelRules
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
-    changed, sigma_m = rules.changed_road_prior, rules.changed_road_sigma_m
-    return (
-        MixtureComponent(
-            weight=(1.0 - changed) * weight,
-            mean_m=part.mean_m,
-            horizontal_m2=part.horizontal_m2,
-            up_m2=part.up_m2,
-        ),
-        MixtureComponent(
-            weight=changed * weight,
-            mean_m=part.mean_m,
-            horizontal_m2=part.horizontal_m2,
-            up_m2=part.up_m2 + sigma_m * sigma_m,
-        ),
-    )
+    changed, up_m2 = rules.changed_road_prior, part.up_m2 + rules.changed_road_sigma_m**2
+    surveyed = replace(part, weight=(1.0 - changed) * weight)
+    return surveyed, replace(part, weight=changed * weight, up_m2=up_m2)
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:
@@ -461,6 +424,4 @@ def _wider(part: MixtureComponent, covariance: Sequence[float]) -> MixtureCompon
     """With the errors of a covariance added."""
     (ee, en, nn) = part.horizontal_m2
     added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    return MixtureComponent(
-        weight=part.weight, mean_m=part.mean_m, horizontal_m2=added, up_m2=float(part.up_m2 + covariance[5])
-    )
+    return replace(part, horizontal_m2=added, up_m2=float(part.up_m2 + covariance[5]))

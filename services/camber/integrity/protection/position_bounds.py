@@ -85,7 +85,7 @@ class MixtureComponent:
     """
 
     weight: float
-    mean_m: tuple[float, float, float]
+    mean_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     horizontal_m2: Horizontal
     up_m2: float
 

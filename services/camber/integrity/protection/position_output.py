@@ -25,7 +25,7 @@ from camber.integrity.protection.fault_hypotheses import (
     updated_dispute,
 )
 from camber.integrity.protection.fault_hypotheses import is_provisional as is_provisional
-from camber.integrity.protection.position_bounds import Bounds, LevelRules, bounds_of, is_beyond
+from camber.integrity.protection.position_bounds import Bounds, bounds_of, is_beyond
 from camber.integrity.protection.reliability_index import ReliabilityIndex
 from camber.integrity.rules import SAME_EPOCH_S, Rules
 from camber.schemas.base import Covariance3
@@ -41,14 +41,14 @@ _LARGEST_M = 1e9  # that a message holds
 class PositionOutput:
     """Computes the position of an epoch from velocities, wheel speeds and judgements; pure, times are given."""
 
-    def __init__(self, rules: Rules, levels: LevelRules) -> None:
-        self._rules, self._levels = rules, levels
-        self._doppler = DopplerPosition(levels.doppler)
+    def __init__(self, rules: Rules) -> None:
+        self._rules, self._levels = rules, rules.levels
+        self._doppler = DopplerPosition(rules.levels.doppler)
         self._base: PositionCandidate | None = None
-        self._suspicion = LatentFaultHypothesis.initial(levels.wrong_fix)
-        self._matched = MatchCorroboration(levels)
+        self._latent_fault = LatentFaultHypothesis.initial(rules.levels.wrong_fix)
+        self._matched = MatchCorroboration(rules.levels)
         self._dispute: PoseDispute | None = None
-        self._index = ReliabilityIndex(levels.index)
+        self._index = ReliabilityIndex(rules.levels.index)
 
     def add_velocity(self, velocity: SatelliteVelocity) -> None:
         """A velocity by satellite Doppler."""
@@ -70,8 +70,8 @@ class PositionOutput:
         self._index.forget_future(limit_ns)
         if self._base is not None and self._base.time_ns > limit_ns:
             self._base = None
-        if self._suspicion.time_ns is not None and self._suspicion.time_ns > limit_ns:
-            self._suspicion = replace(self._suspicion, time_ns=limit_ns)
+        if self._latent_fault.time_ns is not None and self._latent_fault.time_ns > limit_ns:
+            self._latent_fault = replace(self._latent_fault, time_ns=limit_ns)
             self._matched = MatchCorroboration(self._levels)
         if self._dispute is not None and self._dispute.time_ns > limit_ns:
             self._dispute = replace(self._dispute, begun_ns=limit_ns, time_ns=limit_ns)
@@ -79,8 +79,8 @@ class PositionOutput:
     def confirmed(self, judgement: FixJudgement, correction_m: float, inputs: EpochInputs) -> Position:
         """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
         self._update_by_match(inputs)
-        result = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
-        self._suspicion = result.suspicion
+        result = confirmed_fix(judgement, self._latent_fault, self._levels, self._rules.true_sigma)
+        self._latent_fault = result.latent_fault
         if self._base is None or result.candidate.time_ns > self._base.time_ns:
             self._base = result.candidate
             self._doppler.begin(result.candidate.time_ns)
@@ -93,13 +93,13 @@ class PositionOutput:
         pose, missing = self._of_pose(time_ns, inputs, correction_m)
         doppler = self._of_doppler(time_ns, pose)
         if doppler is None and missing is not None:
-            return unavailable_position(time_ns, missing, self._rules, self._levels)
+            return unavailable_position(time_ns, missing, self._rules)
         return self._best([doppler, pose], inputs)
 
     def _update_by_match(self, inputs: EpochInputs) -> None:
         """Update fault hypothesis and dispute by the scan match of this epoch."""
         if inputs.pose is not None:
-            self._suspicion = self._matched.update(inputs.pose, self._suspicion)
+            self._latent_fault = self._matched.update(inputs.pose, self._latent_fault)
             if self._dispute is not None:
                 self._dispute = self._dispute.update(inputs.pose, self._levels)
 
@@ -116,14 +116,7 @@ class PositionOutput:
         old = not abs(age_s(moved_ns, time_ns)) <= self._levels.time_to_alert_s
         if old or not abs(age_s(pose.time_ns, time_ns)) <= SAME_EPOCH_S:
             return None, "pose_stale"
-        result = of_pose(
-            inputs,
-            correction_m,
-            suspicion=self._suspicion,
-            rules=self._rules,
-            levels=self._levels,
-            dispute=self._dispute,
-        )
+        result = of_pose(inputs, correction_m, self._latent_fault, self._rules, dispute=self._dispute)
         return result, None
 
     def _of_doppler(self, time_ns: int, pose: PositionCandidate | None) -> PositionCandidate | None:
@@ -137,20 +130,15 @@ class PositionOutput:
         result = of_doppler(self._base, moved, time_ns, self._levels)
         if pose is None:
             return result if moved.checked else None
-        east_m, north_m = east_north_between(
-            pose.geodetic[0],
-            pose.geodetic[1],
-            result.geodetic[0],
-            result.geodetic[1],
-            height_m=result.geodetic[2] or 0.0,
-        )
+        (latitude_rad, longitude_rad, height_m), there = result.geodetic, pose.geodetic[:2]
+        east_m, north_m = east_north_between(*there, latitude_rad, longitude_rad, height_m=height_m or 0.0)
         if _distance2(east_m, north_m, pose.covariance_enu_m2, result.covariance_enu_m2) <= _CONTRADICTION:
             return result
         self._doppler.end()
         return None
 
     def _best(self, candidates: list[PositionCandidate | None], inputs: EpochInputs) -> Position:
-        """The first of them, or a later one whose level is clearly smaller and whose height is borne out."""
+        """The first of them, or a later one whose level is clearly smaller and whose height agrees."""
         best, *others = [candidate for candidate in candidates if candidate is not None]
         bounds = self._bounds(best)
         for other in others:
@@ -175,12 +163,9 @@ class PositionOutput:
         here_m, there_m = best.geodetic[2], other.geodetic[2]
         if here_m is None or there_m is None:
             return True
-        acceptance_radius_m = _AS_SURVEYED * math.sqrt(other.covariance_enu_m2[5])
-        limit_m = (
-            min(acceptance_radius_m, result.vertical_level_m)
-            if self._is_small(bounds)
-            else result.vertical_level_m
-        )
+        limit_m = result.vertical_level_m
+        if self._is_small(bounds):
+            limit_m = min(limit_m, _AS_SURVEYED * math.sqrt(other.covariance_enu_m2[5]))
         return abs(there_m - here_m) <= limit_m
 
     def _is_small(self, bounds: Bounds) -> bool:
@@ -236,17 +221,15 @@ class PositionOutput:
         return None if bounds.vertical_level_m < self._levels.vertical_alert_limit_m else "height_unverified"
 
 
-def unavailable_position(
-    time_ns: int, reason: Reason, rules: Rules, levels: LevelRules | None = None
-) -> Position:
-    """The clear word that there is none."""
+def unavailable_position(time_ns: int, reason: Reason, rules: Rules) -> Position:
+    """The message that there is none."""
     return Position(
         time_ns=time_ns,
         source="none",
         usable=False,
         reason=reason,
         alert_limit_m=rules.alert_limit_m,
-        vertical_alert_limit_m=levels.vertical_alert_limit_m if levels is not None else None,
+        vertical_alert_limit_m=rules.levels.vertical_alert_limit_m,
     )
 
 

@@ -34,7 +34,7 @@ def examined(epoch=0, **off):
 
 
 def after(*judgements, levels=LEVELS):
-    positions = PositionOutput(RULES, levels)
+    positions = PositionOutput(replace(RULES, levels=levels))
     for judgement in judgements:
         positions.update_dispute(judgement)
     return positions
@@ -170,7 +170,7 @@ def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
 
 def test_the_mixture_has_the_pose_and_the_place_of_the_fix():
     disputed = updated_dispute(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
-    alone = MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.1)
+    alone = MixtureComponent(weight=1.0, horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.1)
     parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
     *others, there = disputed.with_alternative(parts, alone, 0.2)
     assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])

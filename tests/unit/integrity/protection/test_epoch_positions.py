@@ -80,7 +80,7 @@ def by_itself(the_fix, trials=1):
 
 
 def fresh(levels=LEVELS, rules=RULES):
-    return PositionOutput(rules, levels)
+    return PositionOutput(replace(rules, levels=levels))
 
 
 def of_pose(the_pose, the_antenna=None, levels=LEVELS, epoch=0.0, rules=RULES):
@@ -253,16 +253,18 @@ def test_a_pose_anchored_by_what_is_not_known_here_is_not_usable():
     assert result.wrong_fix_probability == pytest.approx(0.1)
 
 
-def test_suspicion_fades_with_the_fixes_that_agree_and_not_with_time_alone():
+def test_a_latent_fault_fades_with_the_fixes_that_agree_and_not_with_time_alone():
     rules = WrongFixRules()
     start = LatentFaultHypothesis.initial(rules)
-    now = confirmed_fix(judged(provisional()), start, LEVELS, RULES.true_sigma).suspicion
+    now = confirmed_fix(judged(provisional()), start, LEVELS, RULES.true_sigma).latent_fault
     assert now.odds > 1e-3
     assert now.remaining_share(now.time_ns + round(1e10), rules) == pytest.approx(math.exp(-1.0))
     assert now.remaining_share(now.time_ns - 1, rules) == 1.0
     later = now
     for k in range(1, 400):
-        later = confirmed_fix(judged(pose(k, **MATCHED), fix(k)), later, LEVELS, RULES.true_sigma).suspicion
+        later = confirmed_fix(
+            judged(pose(k, **MATCHED), fix(k)), later, LEVELS, RULES.true_sigma
+        ).latent_fault
     assert later.odds < 0.1 * now.odds
 
 
@@ -272,14 +274,14 @@ def matched(k, **changes):
 
 
 def latest(poses, start=None, levels=LEVELS):
-    """What is left of a suspicion of even odds after poses."""
-    suspicion, places = (
+    """What is left of a latent fault of even odds after poses."""
+    latent_fault, places = (
         start or LatentFaultHypothesis(time_ns=at(0), odds=1.0, horizontal_m2=1.0, up_m2=1.0),
         MatchCorroboration(levels),
     )
     for the_pose in poses:
-        suspicion = places.update(the_pose, suspicion)
-    return suspicion.odds
+        latent_fault = places.update(the_pose, latent_fault)
+    return latent_fault.odds
 
 
 def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_after_place():
@@ -289,7 +291,7 @@ def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_afte
     assert latest(pose(k) for k in range(epochs)) == 1.0, "no match"
     assert latest(matched(k, latitude_rad=None) for k in range(epochs)) == 1.0
     assert latest(matched(0) for _ in range(epochs)) == 1.0, (
-        "one place says it once: how the suspicion came about"
+        "one place says it once: how the latent fault came about"
     )
     assert latest(matched(k, mode="dead_reckoning") for k in range(epochs)) == 1.0, (
         "matches and fixes dispute"
@@ -461,9 +463,9 @@ def test_the_vertical_level_of_a_pose_holds_a_road_that_has_changed():
 def test_a_pose_is_one_of_its_parts_whatever_has_changed(the_pose):
     for prior in (0.0, 0.01, 1.0):
         levels = LevelRules(changed_road_prior=prior)
-        suspicion = LatentFaultHypothesis.initial(levels.wrong_fix)
+        latent_fault = LatentFaultHypothesis.initial(levels.wrong_fix)
         result = candidate_of_pose(
-            inputs(the_pose, antenna()), 0.0, suspicion=suspicion, rules=RULES, levels=levels
+            inputs(the_pose, antenna()), 0.0, latent_fault, replace(RULES, levels=levels)
         )
         assert sum(part.weight for part in result.mixture.parts) == pytest.approx(1.0)
         odd = [part.weight for part in result.mixture.parts if part.up_m2 > 0.2**2]

@@ -54,13 +54,9 @@ def by_fix(judgement, before=BEFORE):
     return confirmed_fix(judgement, before, LEVELS, RULES.true_sigma)
 
 
-def by_pose(the_pose, suspicion=BEFORE, correction_m=0.0):
+def by_pose(the_pose, latent_fault=BEFORE, correction_m=0.0):
     return of_pose(
-        EpochInputs(pose=the_pose, antenna=antenna(), alive=ALL),
-        correction_m,
-        suspicion=suspicion,
-        rules=RULES,
-        levels=LEVELS,
+        EpochInputs(pose=the_pose, antenna=antenna(), alive=ALL), correction_m, latent_fault, RULES
     )
 
 
@@ -134,7 +130,7 @@ def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is
 
 
 @pytest.mark.parametrize(("mean_m", "horizontal_m2"), [((3.0, 1.0, 2.0), 9.04), ((1.0, -3.0, 2.0), 9.09)])
-def test_a_suspicion_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
+def test_a_latent_fault_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
     """Nothing was suspected before: what is suspected then is what the fix may be."""
     wrong = MixtureComponent(weight=1.0, mean_m=mean_m, horizontal_m2=(0.04, 0.0, 0.09), up_m2=0.25)
     result = LatentFaultHypothesis(time_ns=at(0), odds=0.0, horizontal_m2=1.0, up_m2=1.0).after(
@@ -156,7 +152,7 @@ def test_of_a_fix_that_was_compared_with_nothing_only_its_prior_is_known():
 
 
 def test_an_earlier_fault_hypothesis_fades_and_counts_for_the_next_fix():
-    first = by_fix(judged()).suspicion
+    first = by_fix(judged()).latent_fault
     second = by_fix(judged(), replace(first, time_ns=at(0) - 10_000_000_000)).candidate
     pulled = second.mixture.parts[-1]
     right = second.mixture.parts[0]
@@ -173,7 +169,7 @@ def test_an_earlier_fault_hypothesis_fades_and_counts_for_the_next_fix():
 
 def test_by_doppler_it_has_come_so_far_and_is_so_much_less_sure():
     parts = (
-        MixtureComponent(weight=0.9, mean_m=NO_OFFSET, horizontal_m2=(0.01, 0.002, 0.02), up_m2=0.03),
+        MixtureComponent(weight=0.9, horizontal_m2=(0.01, 0.002, 0.02), up_m2=0.03),
         MixtureComponent(weight=0.1, mean_m=(1.0, 2.0, 3.0), horizontal_m2=(0.1, 0.0, 0.2), up_m2=0.3),
     )
     base = PositionCandidate(
@@ -214,7 +210,7 @@ def test_by_doppler_and_by_the_pose_it_must_be_within_what_both_know_along_each_
     sigma_m[axis] = 3.0
     off_m = [0.0, 0.0]
     off_m[axis] = sigmas * 3.0
-    positions = PositionOutput(RULES, LEVELS)
+    positions = PositionOutput(RULES)
     positions.add_velocity(
         SatelliteVelocity(
             time_ns=at(0),
@@ -274,8 +270,8 @@ def test_a_pose_that_rests_on_no_fix_has_the_components_of_its_covariance_and_of
 
 
 def test_one_that_does_may_have_been_pulled_along_but_its_height_is_that_of_the_road():
-    suspicion = LatentFaultHypothesis(time_ns=at(-1), odds=0.25, horizontal_m2=4.0, up_m2=9.0)
-    result = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), suspicion)
+    latent_fault = LatentFaultHypothesis(time_ns=at(-1), odds=0.25, horizontal_m2=4.0, up_m2=9.0)
+    result = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), latent_fault)
     alone, _, pulled, _ = result.mixture.parts
     assert result.source == "sensors"
     assert result.wrong == pytest.approx(0.2)

@@ -29,10 +29,7 @@ def normal(s, up=0.05, rho=0.0, ratio=1.0):
     return ErrorMixture(
         (
             MixtureComponent(
-                weight=1.0,
-                mean_m=(0.0, 0.0, 0.0),
-                horizontal_m2=(s * s, rho * s * s * ratio, (s * ratio) ** 2),
-                up_m2=up * up,
+                weight=1.0, horizontal_m2=(s * s, rho * s * s * ratio, (s * ratio) ** 2), up_m2=up * up
             ),
         )
     )
@@ -136,15 +133,7 @@ def test_a_height_that_is_not_known_has_no_level_and_takes_nothing_from_the_othe
 
 
 def test_a_position_that_is_sure_in_one_direction_has_bounds_all_the_same():
-    result = of(
-        ErrorMixture(
-            (
-                MixtureComponent(
-                    weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.04, 0.0, 0.0), up_m2=0.01
-                ),
-            )
-        )
-    )
+    result = of(ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.04, 0.0, 0.0), up_m2=0.01),)))
     assert result.horizontal_level_m == pytest.approx(1.03 * 0.2 * 5.327, rel=1e-3)
     assert 0.0 < result.semi_minor_99_m < 1e-3
 
@@ -184,24 +173,14 @@ def test_what_is_no_covariance_has_no_bounds_and_is_none_of_a_position_that_is_r
     result = of(
         ErrorMixture(
             (
-                MixtureComponent(
-                    weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.01
-                ),
-                MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=horizontal_m2, up_m2=0.01),
+                MixtureComponent(weight=0.5, horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.01),
+                MixtureComponent(weight=0.5, horizontal_m2=horizontal_m2, up_m2=0.01),
             )
         )
     )
     assert result.horizontal_level_m == result.semi_major_99_m == math.inf, "not beside others"
     with pytest.raises(ValueError, match="is not positive semidefinite"):
-        of(
-            ErrorMixture(
-                (
-                    MixtureComponent(
-                        weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=horizontal_m2, up_m2=0.01
-                    ),
-                )
-            )
-        )
+        of(ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=horizontal_m2, up_m2=0.01),)))
 
 
 @exactly
@@ -219,11 +198,7 @@ def test_a_level_far_beyond_is_seen_without_finding_it():
     assert not is_beyond(normal(0.1), 0.6, RULES)
     assert not is_beyond(normal(0.1), math.inf, RULES)
     assert not is_beyond(
-        ErrorMixture(
-            (MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.0, 0.0, 0.0), up_m2=1.0),)
-        ),
-        0.0,
-        RULES,
+        ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.0, 0.0, 0.0), up_m2=1.0),)), 0.0, RULES
     )
 
 
@@ -249,9 +224,7 @@ def turned(mixture, angle_rad):
 @exactly
 @given(st.floats(-3.0, 3.0), st.floats(0.0, 1.5), st.floats(-1.0, 1.0))
 def test_no_direction_is_special(angle_rad, offset, slant):
-    right = MixtureComponent(
-        weight=0.99, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.04, 0.0, 0.0025), up_m2=0.01
-    )
+    right = MixtureComponent(weight=0.99, horizontal_m2=(0.04, 0.0, 0.0025), up_m2=0.01)
     wrong = MixtureComponent(
         weight=0.01, mean_m=(offset, 0.5 * offset, 0.2), horizontal_m2=(0.09, 0.02 * slant, 0.01), up_m2=0.04
     )
@@ -266,9 +239,7 @@ def test_no_direction_is_special(angle_rad, offset, slant):
 
 @pytest.mark.parametrize("angle_rad", [0.5, -0.5, math.pi / 4, -math.pi / 4])
 def test_a_level_far_beyond_is_seen_in_any_direction(angle_rad):
-    narrow = ErrorMixture(
-        (MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.25, 0.0, 1e-4), up_m2=0.01),)
-    )
+    narrow = ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.25, 0.0, 1e-4), up_m2=0.01),))
     assert is_beyond(turned(narrow, angle_rad), 2.4, RULES)
     assert not is_beyond(turned(narrow, angle_rad), 3.0, RULES)
 
@@ -344,7 +315,7 @@ def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_fo
 
 
 def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():
-    sure = MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.0, 0.0, 0.0), up_m2=0.0)
-    wide = MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(1.0, 0.0, 1.0), up_m2=0.0)
+    sure = MixtureComponent(weight=0.5, horizontal_m2=(0.0, 0.0, 0.0), up_m2=0.0)
+    wide = MixtureComponent(weight=0.5, horizontal_m2=(1.0, 0.0, 1.0), up_m2=0.0)
     assert is_beyond(ErrorMixture((sure, wide)), 1.0, RULES)
     assert not is_beyond(ErrorMixture((sure, sure)), 1.0, RULES)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
-from camber.integrity.protection.position_bounds import LevelRules
 from camber.integrity.protection.position_output import PositionOutput, _distance2, unavailable_position
 from camber.integrity.rules import Rules
 from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose, provisional, road
@@ -24,7 +23,7 @@ def right(the_fix=None, **changes):
 
 def from_pose(the_pose, the_antenna=None, *, correction_m=0.0, alive=ALL):
     inputs = EpochInputs(pose=the_pose, antenna=the_antenna, alive=alive)
-    return PositionOutput(RULES, LevelRules()).at(the_pose.time_ns, inputs, correction_m)
+    return PositionOutput(RULES).at(the_pose.time_ns, inputs, correction_m)
 
 
 # --- poses -------------------------------------------------------------------------------------------------------
