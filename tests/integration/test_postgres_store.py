@@ -206,13 +206,13 @@ def test_a_server_that_does_not_flush_is_refused():
         PostgresStore(server.address())
 
 
-def test_a_judge_that_fails_leaves_nothing_behind_and_the_connection_good(address):
-    def judge(_):
+def test_a_failing_check_leaves_nothing_behind_and_the_connection_usable(address):
+    def refusal_of(_):
         raise KeyError("a fault")
 
     with opened(address) as store:
         with pytest.raises(KeyError):
-            committed(store, contribution("u1"), judge=judge)
+            committed(store, contribution("u1"), refusal_of=refusal_of)
         assert names_in(store) == []
         assert [o.status for o in store.commit([contribution("u1")], NOW_NS, take_all)] == ["stored"]
 

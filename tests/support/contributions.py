@@ -8,7 +8,7 @@ import numpy as np
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
-from camber.map_update.stores.store import Judge, Store
+from camber.map_update.stores.store import RefusalCheck, Store
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
@@ -100,8 +100,8 @@ def refuse_tokyo(candidate: Contribution) -> Refusal | None:
     return refuse_all(candidate) if candidate.datum == "Tokyo" else None
 
 
-def committed(store: Store, *contributions: Contribution, judge: Judge = take_all) -> list[str]:
-    return [outcome.status for outcome in store.commit(contributions, NOW_NS, judge)]
+def committed(store: Store, *contributions: Contribution, refusal_of: RefusalCheck = take_all) -> list[str]:
+    return [outcome.status for outcome in store.commit(contributions, NOW_NS, refusal_of)]
 
 
 def names_in(store: Store) -> list[tuple[str, str, str]]:

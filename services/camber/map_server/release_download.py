@@ -295,10 +295,10 @@ class ReleaseDownload:
         if self._around_m is not None:
             near = self._tiles_within(self._around_m) | self._downloaded_tiles(release)
             wanted = {digest: tile for digest, tile in wanted.items() if (tile.x, tile.y) in near}
-        here = self.tile()
-        if here is None:
+        centre = self.tile()
+        if centre is None:
             return list(wanted)
-        return sorted(wanted, key=lambda digest: _steps(here, wanted[digest]))
+        return sorted(wanted, key=lambda digest: _steps(centre, wanted[digest]))
 
     def _tiles_within(self, radius_m: float) -> set[Tile]:
         return set() if self.position_rad is None else set(tiles_around(*self.position_rad, radius_m))
@@ -321,7 +321,7 @@ class ReleaseDownload:
         }
 
 
-def _steps(here: Tile, tile: ReleaseTile) -> int:
+def _steps(centre: Tile, tile: ReleaseTile) -> int:
     """Return the distance in tiles, in the shorter direction around the earth."""
-    east = abs(tile.x - here[0])
-    return max(min(east, TILES - east), abs(tile.y - here[1]))
+    east = abs(tile.x - centre[0])
+    return max(min(east, TILES - east), abs(tile.y - centre[1]))

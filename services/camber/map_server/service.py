@@ -118,11 +118,10 @@ class MapServerService(Service[MapServerSettings]):
             self._thread.notice()
             return
         release = self._watch.current
-        here = None if release is None or release.root.region != head.region else release.root.map_version
-        if here is None or head.map_version > here:
-            self.bus.issue(
-                "release_behind", f"version {head.map_version} of {head.region} is out, here is {here}"
-            )
+        in_use = None if release is None or release.root.region != head.region else release.root.map_version
+        if in_use is None or head.map_version > in_use:
+            text = f"version {head.map_version} of {head.region} is out, here is {in_use}"
+            self.bus.issue("release_behind", text)
 
     def advance(self, now_ns: int) -> None:
         """Look for a new release at intervals; verify a part of it in each iteration of the work loop."""

@@ -46,10 +46,10 @@ def tiles_of(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return tile numbers x, y (n,) of n points, as `tile_of`; both are −1 beyond 85.05° of latitude."""
     latitude, longitude = np.asarray(latitude_rad, np.float64), np.asarray(longitude_rad, np.float64)
-    there = np.abs(latitude) < LIMIT_LATITUDE_RAD
+    has_tile = np.abs(latitude) < LIMIT_LATITUDE_RAD
     x = np.floor(_column(longitude)).astype(np.int64) % TILES
-    y = np.clip(np.floor(_row(np.where(there, latitude, 0.0))), 0, TILES - 1).astype(np.int64)
-    return np.where(there, x, -1), np.where(there, y, -1)
+    y = np.clip(np.floor(_row(np.where(has_tile, latitude, 0.0))), 0, TILES - 1).astype(np.int64)
+    return np.where(has_tile, x, -1), np.where(has_tile, y, -1)
 
 
 @lru_cache(maxsize=4096)

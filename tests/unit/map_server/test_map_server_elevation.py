@@ -77,7 +77,7 @@ def test_columns_run_from_right_to_left() -> None:
     assert result.slope_north == pytest.approx(0.1, abs=1e-5)
 
 
-def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> None:
+def test_the_extent_of_a_plane_is_smaller_on_a_curved_grid() -> None:
     plane = road([surface(5, heights_m=[[50.0, 50.0], [51.0, 51.0]])], 0.0, 0.0)
     curved = road([surface(5, heights_m=[[50.0, 50.0], [50.0, 50.0], [51.0, 51.0]])], -5.0, 0.0)
     assert plane.extent_m == pytest.approx(math.hypot(10.0, 2.0))
@@ -178,7 +178,7 @@ def test_a_surface_reaches_half_a_metre_beyond_its_edge_and_no_farther(
     assert road([surface(5)], east_m, north_m).status == status
 
 
-def test_beyond_its_edge_a_surface_goes_on_with_its_slope() -> None:
+def test_beyond_its_edge_a_surface_is_extrapolated_with_its_slope() -> None:
     rows = [surface(5, heights_m=[[50.0, 50.0], [50.0, 50.0], [51.0, 51.0]])]
     assert road(rows, 10.4, 0.0).elevation_m == pytest.approx(51.04, abs=1e-4)
     assert road(rows, -10.4, 0.0).elevation_m == pytest.approx(50.0, abs=1e-4)
@@ -204,7 +204,7 @@ def test_a_point_on_the_border_of_tiles_is_answered_as_any_other(share: tuple[fl
     assert answers[4].elevation_m == pytest.approx(50.25, abs=1e-4)
 
 
-def test_a_tile_is_read_only_when_it_is_needed_and_what_reading_raises_is_raised() -> None:
+def test_a_tile_is_read_on_first_use_and_errors_are_passed_on() -> None:
     asked: list[tuple[int, int]] = []
 
     def broken(x: int, y: int) -> None:
@@ -296,7 +296,7 @@ def test_heights_do_not_decide_on_a_level() -> None:
 @given(
     st.integers(0, 2**32), st.lists(st.integers(0, 5), max_size=3), st.one_of(st.none(), st.integers(0, 30))
 )
-def test_what_is_known_never_contradicts_the_topology(
+def test_a_known_road_never_contradicts_the_topology(
     seed: int, link_ids: list[int], last_surface_id: int | None
 ) -> None:
     rows, link_rows = _tangle(seed)

@@ -25,7 +25,7 @@ def ask(rows: list[dict[str, Any]], radius_m: float, east_m: float = 0.0, north_
     return links_around(tiles, request, map_version=7, time_ns=MADE_NS)
 
 
-def test_links_within_the_radius_come_whole() -> None:
+def test_links_within_the_radius_are_returned_whole() -> None:
     rows = [
         link(1, (1, 2), [(-1500.0, 30.0), (0.0, 30.0), (1500.0, 40.0)], level=1),
         link(2, (2, 3), [(0.0, 51.0), (0.0, 300.0)]),
@@ -39,7 +39,7 @@ def test_links_within_the_radius_come_whole() -> None:
     assert np.allclose(vertices, rows[0]["vertices"], rtol=0.0, atol=1.1e-11)
 
 
-def test_links_of_several_tiles_come_once_each_by_id() -> None:
+def test_links_of_several_tiles_are_returned_once_by_id() -> None:
     rng = np.random.default_rng(5)
     rows = [link(90 - i, (i, i + 1), rng.uniform(-900.0, 900.0, (3, 2)).tolist()) for i in range(40)]
     reply = ask(rows, 1300.0)
@@ -60,18 +60,18 @@ def test_the_distance_is_that_to_the_nearest_point_of_the_line(seed: int) -> Non
     assert ask(rows, 150.0).link_id.tolist() == want
 
 
-def test_where_the_map_reaches_and_no_link_is_near_there_is_none() -> None:
+def test_within_the_map_there_may_be_no_link_near() -> None:
     reply = ask([link(1, (1, 2), [(50.0, 0.0), (60.0, 0.0)])], 5.0)
     assert reply.status == "known"
     assert len(reply.link_id) == 0
 
 
-def test_where_the_map_does_not_reach_it_is_unknown() -> None:
+def test_beyond_the_map_links_are_unknown() -> None:
     reply = ask([link(1, (1, 2), [(50.0, 0.0), (60.0, 0.0)])], 5.0, east_m=20_000.0)
     assert (reply.status, reply.reason) == ("unknown", "no links of the map are near")
 
 
-def test_a_reply_that_would_be_too_large_is_unknown_and_none_that_is_known_is() -> None:
+def test_a_reply_too_large_for_a_message_is_unknown() -> None:
     angle = np.linspace(0.0, 2.0 * math.pi, 400)
     circle_m = np.column_stack((20.0 * np.cos(angle), 20.0 * np.sin(angle))).tolist()
     rows = [link(i, (i, i), circle_m) for i in range(60)]

@@ -160,7 +160,7 @@ def test_a_stale_release_is_unknown(tmp_path: Path) -> None:
     assert "map_stale" in server.bus.codes()
 
 
-def test_a_release_from_the_future_has_no_age(tmp_path: Path) -> None:
+def test_a_release_from_the_future_is_stale(tmp_path: Path) -> None:
     server = served(tmp_path, max_age_days=30.0)
     server.bus.time_ns = MADE_NS - 2 * DAY_NS
     server.assert_unknown("map_stale")
@@ -177,13 +177,13 @@ def test_a_signature_is_required_where_a_key_is_set(tmp_path: Path) -> None:
     served(tmp_path / "unsigned", public_key=key).assert_unknown("map_missing")
 
 
-def test_a_key_that_cannot_be_read_ends_the_start(tmp_path: Path) -> None:
+def test_an_unreadable_key_prevents_the_start(tmp_path: Path) -> None:
     arguments = ["--release", str(tmp_path), "--public-key", str(tmp_path / "missing.pub")]
     with pytest.raises(ConfigError, match=r"public_key: .*missing\.pub: public key, expected an Ed25519 key"):
         load(MapServerSettings, arguments, prog="camber map_server")
 
 
-def test_a_new_release_is_taken_while_the_old_one_answers(tmp_path: Path) -> None:
+def test_a_new_release_is_verified_while_the_old_one_answers(tmp_path: Path) -> None:
     server = served(tmp_path, verify_bytes=1)
     write(tmp_path, [surface(5 + i, 700.0 * i, heights_m=51.0) for i in range(5)], map_version=8)
     server.wait(1.0)
@@ -197,7 +197,7 @@ def test_a_new_release_is_taken_while_the_old_one_answers(tmp_path: Path) -> Non
     assert server.service.healthy()
 
 
-def test_a_bad_new_release_leaves_the_old_one_and_is_tried_again(tmp_path: Path) -> None:
+def test_an_invalid_new_release_leaves_the_old_one_and_is_retried(tmp_path: Path) -> None:
     server = served(tmp_path)
     before = set(tmp_path.rglob("*"))
     write(tmp_path, [surface(5, heights_m=51.0)], map_version=8)
@@ -266,7 +266,7 @@ def test_a_newer_release_elsewhere_is_reported(tmp_path: Path) -> None:
     assert "release_behind" in server.bus.codes()
 
 
-def test_the_root_vanishing_changes_no_answer_but_health(tmp_path: Path) -> None:
+def test_without_its_root_a_release_still_answers_but_is_unhealthy(tmp_path: Path) -> None:
     server = served(tmp_path)
     (tmp_path / ROOT_NAME).unlink()
     server.wait(3.0)

@@ -18,7 +18,7 @@ def part(blob: bytes, number: int = 0, have: str | None = None) -> TileReply:
 
 
 @pytest.mark.parametrize("size", [1, PART_BYTES - 1, PART_BYTES, PART_BYTES + 1, 3 * PART_BYTES + 7])
-def test_parts_make_the_blob_again_and_each_fits_into_a_reply(size: int) -> None:
+def test_parts_fit_into_replies_and_make_up_the_blob(size: int) -> None:
     blob = bytes(i * i % 251 for i in range(size))
     replies = [part(blob, i) for i in range(part(blob).parts)]
     assert b"".join(reply.payload.tobytes() for reply in replies) == blob
@@ -26,13 +26,13 @@ def test_parts_make_the_blob_again_and_each_fits_into_a_reply(size: int) -> None
     assert max(len(encode(reply)) for reply in replies) <= 256_000
 
 
-def test_who_has_the_blob_gets_nothing_of_it() -> None:
+def test_a_client_with_the_blob_gets_unchanged() -> None:
     digest = hashlib.sha256(b"abc").hexdigest()
     reply = part(b"abc", have=digest)
     assert (reply.status, reply.sha256, reply.parts, reply.payload.size) == ("unchanged", digest, 0, 0)
 
 
-def test_who_has_another_blob_gets_this_one() -> None:
+def test_a_client_with_another_blob_gets_this_one() -> None:
     assert part(b"abc", have="0" * 64).payload.tobytes() == b"abc"
 
 

@@ -13,7 +13,7 @@ SEED = 91
 
 @pytest.mark.parametrize("reach_rad", [1e-5, 3e-3, 1.0])
 @pytest.mark.parametrize("about_rad", [0.0, 0.61, -1.48])
-def test_tiles_are_those_of_single_points(about_rad: float, reach_rad: float) -> None:
+def test_tile_numbers_equal_those_of_single_points(about_rad: float, reach_rad: float) -> None:
     rng = np.random.default_rng(SEED)
     latitude = about_rad + rng.uniform(-reach_rad, reach_rad, 3000)
     longitude = rng.uniform(-math.pi, math.pi, 3000)
@@ -30,7 +30,7 @@ def test_tiles_are_those_of_single_points(about_rad: float, reach_rad: float) ->
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 5000])
-def test_points_of_one_tile_lie_side_by_side_in_their_order(count: int) -> None:
+def test_points_are_sorted_by_tile_in_their_order(count: int) -> None:
     number = np.random.default_rng(SEED).integers(-1, 40, count) * 12345
     tiles, points, start, gone_to = sort_by_tile(number)
     assert sorted(tiles.tolist()) == sorted(set(number.tolist()))

@@ -136,7 +136,7 @@ def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("sizes", [[10**6], [-5], [2**31 - 1, 2**31 - 1], [1] * 65, [0]])
-def test_sizes_of_more_blobs_that_cannot_be_are_refused(
+def test_impossible_sizes_of_more_blobs_are_refused(
     tmp_path: Path, builder: ReleaseBuilder, sizes: list[int]
 ) -> None:
     vehicle = Vehicle(tmp_path)

@@ -126,7 +126,7 @@ def test_every_column_of_a_batch_is_in_its_contribution():
 
 
 @pytest.mark.parametrize("field", sorted(set(UPLOAD) - {"vehicle", "upload_id"}))
-def test_any_other_content_has_another_digest_and_the_same_content_the_same(field):
+def test_the_digest_depends_on_every_field(field):
     other = {
         "verdict": "unknown",
         "datum": "JGD2011",
@@ -141,7 +141,7 @@ def test_any_other_content_has_another_digest_and_the_same_content_the_same(fiel
     assert digest != from_upload(upload(**{field: changed})).digest()
 
 
-def test_a_group_is_judged_as_each_of_it():
+def test_a_group_is_checked_as_each_of_it():
     tokyo, high = from_upload(upload(datum="Tokyo")), from_upload(upload(road_height_m=8000.0))
     good = [from_upload(upload()), from_batch(batch())]
     for group in (good, [*good, tokyo], [high, *good, tokyo], [from_batch(batch(11)), *good], []):

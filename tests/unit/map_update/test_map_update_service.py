@@ -119,7 +119,7 @@ def test_without_a_commit_there_is_no_receipt_and_the_next_group_is_tried_again(
     assert service.healthy()
 
 
-def test_a_service_that_does_not_know_the_time_neither_refuses_nor_acknowledges(service, bus):
+def test_without_a_valid_clock_nothing_is_refused_or_acknowledged(service, bus):
     bus.time_ns = 0
     assert asked(service, "upload", upload("u1")) == [None]
     assert "time_not_known" in bus.codes()
@@ -127,7 +127,7 @@ def test_a_service_that_does_not_know_the_time_neither_refuses_nor_acknowledges(
     assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
 
 
-def test_the_reason_of_a_refusal_fits_into_a_receipt_however_long_the_list_of_datums(tmp_path, bus):
+def test_the_reason_of_a_refusal_is_cut_to_fit_into_a_receipt(tmp_path, bus):
     settings = MapUpdateSettings(state_dir=tmp_path, datums=[f"datum{n:055d}" for n in range(30)])
     with closing(MapUpdateService(settings, bus)) as service:
         (receipt,) = asked(service, "upload", upload())
@@ -158,7 +158,7 @@ def test_an_invalid_voters_key_is_reported_and_uploads_are_stored(tmp_path, bus)
         assert "voters' key" in bus.text("fusion_stopped")
 
 
-def test_a_voters_key_is_made_whole_and_once(tmp_path, bus):
+def test_a_voters_key_is_created_atomically_and_once(tmp_path, bus):
     write(tmp_path / "survey", [surface(5)])
     settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
     keys = set()

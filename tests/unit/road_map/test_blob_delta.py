@@ -51,7 +51,7 @@ def changed(
 
 
 @pytest.mark.parametrize("bent", [False, True])
-def test_what_was_packed_comes_back(bent: bool) -> None:
+def test_changes_of_surfaces_survive_a_round_trip(bent: bool) -> None:
     old = a_tile()
     base = encode(old)
     for seed in range(5):
@@ -62,7 +62,7 @@ def test_what_was_packed_comes_back(bent: bool) -> None:
         assert decompress_blob(small, base) == new
 
 
-def test_twenty_surfaces_of_a_thousand_in_a_tile_travel_in_a_few_hundred_bytes() -> None:
+def test_twenty_changed_surfaces_of_a_thousand_take_a_few_hundred_bytes() -> None:
     old = a_tile(1600)
     rows = random.Random(1).sample(range(len(old.rows)), 20)
     base, new = encode(old), encode(changed(old, rows))
@@ -82,7 +82,7 @@ def test_other_changes_are_sent_as_a_difference_of_bytes() -> None:
         assert len(small) < len(compress_blob(encode(new)))
 
 
-def test_any_bytes_travel_with_and_without_a_base() -> None:
+def test_any_bytes_survive_a_round_trip_with_and_without_a_base() -> None:
     chance = random.Random(5)
     for size in (0, 1, 1000, 300_000, 1_500_000):
         base = chance.randbytes(size)
@@ -117,7 +117,7 @@ def test_a_difference_without_its_base_is_refused() -> None:
         decompress_blob(compress_blob(encode(changed(old, [1])), encode(old)), None)
 
 
-def test_no_more_is_unpacked_than_the_blob_may_have() -> None:
+def test_unpacking_is_limited_to_the_size_of_the_blob() -> None:
     bomb = compress_blob(bytes(10_000_000))
     assert len(bomb) < 2000
     with pytest.raises(ReleaseError, match="at most 1000 bytes"):

@@ -31,6 +31,6 @@ def test_every_point_is_in_its_tile_and_near_a_border_in_both() -> None:
     assert cloud_tiles(points_m[:0], FRAME, "road_cloud", 10**18) == []
 
 
-def test_of_the_points_in_a_voxel_the_first_is_kept() -> None:
+def test_the_first_point_of_each_voxel_is_kept() -> None:
     points_m = np.array([[0.02, 0.0, 0.0], [0.31, 0.0, 0.0], [0.05, 0.08, 0.09], [-0.01, 0.0, 0.0]])
     assert first_of_voxels(points_m, 0.1).tolist() == [0, 1, 3]

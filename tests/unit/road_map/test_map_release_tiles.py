@@ -25,7 +25,7 @@ LATITUDES = st.floats(-1.48, 1.48)
 LONGITUDES = st.floats(-math.pi, math.pi)
 
 
-def test_numbers_of_places_are_those_of_the_slippy_map() -> None:
+def test_tile_numbers_are_those_of_the_slippy_map() -> None:
     # By the formula of the OpenStreetMap wiki ("Slippy map tilenames") in degrees: another form of the same.
     for latitude, longitude in (
         (35.17, 136.9),

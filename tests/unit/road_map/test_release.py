@@ -94,7 +94,7 @@ def content(release: Release) -> tuple[Any, ...]:
 # -- what was written is read ----------------------------------------------------------------------------------------
 
 
-def test_surfaces_and_links_come_back(tmp_path: Path) -> None:
+def test_surfaces_and_links_survive_a_round_trip(tmp_path: Path) -> None:
     rows, lines = world()
     write(tmp_path, rows, lines, lineage=[(101, 9), (100, 8)], surrogate="made up")
     release = read_release(tmp_path)
@@ -106,7 +106,7 @@ def test_surfaces_and_links_come_back(tmp_path: Path) -> None:
     assert release.manifest.lineage_parent_id.tolist() == [8, 9]
 
 
-def test_points_come_back(tmp_path: Path) -> None:
+def test_points_survive_a_round_trip(tmp_path: Path) -> None:
     x, y = tile_here()
     write(tmp_path, [surface(1)], clouds=[cloud(x, y), cloud(x, y, "environment_cloud", 3)])
     assert read_release(tmp_path).cloud_tile("road_cloud", x, y) == cloud(x, y)
@@ -156,7 +156,7 @@ def test_a_surface_on_the_corner_of_four_tiles_is_whole_in_each(tmp_path: Path) 
     assert np.ptp(ends, axis=0).max() < 1e-4
 
 
-def test_what_did_not_change_stays_the_same_blob(tmp_path: Path) -> None:
+def test_unchanged_tiles_stay_the_same_blobs(tmp_path: Path) -> None:
     rows, lines = world()
     first = write(tmp_path, rows, lines)
     before = bytes_of(tmp_path)
@@ -215,7 +215,7 @@ def test_keys_are_read_from_pem_files(tmp_path: Path) -> None:
     assert ids == {key_id(KEY.public_key())}
 
 
-def test_files_that_hold_no_such_key_are_refused(tmp_path: Path) -> None:
+def test_files_without_an_ed25519_key_are_refused(tmp_path: Path) -> None:
     other = generate_private_key(SECP256R1())
     (tmp_path / "a").write_bytes(other.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     (tmp_path / "b").write_bytes(
@@ -427,7 +427,7 @@ def test_impossible_surfaces_are_not_written(tmp_path: Path, changed: dict[str, 
     assert bytes_of(tmp_path) == {}
 
 
-def test_tables_that_do_not_fit_are_not_written(tmp_path: Path) -> None:
+def test_inconsistent_tables_are_not_written(tmp_path: Path) -> None:
     x, y = tile_here()
     refused: list[tuple[str, dict[str, Any]]] = [
         ("each id once", {"surface_rows": [surface(1), surface(1, 50.0)]}),

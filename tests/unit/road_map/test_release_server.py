@@ -34,7 +34,7 @@ def put_together(replies: list[MapBlobReply], base: bytes | None = None) -> byte
     return decompress_blob(b"".join(reply.payload.tobytes() for reply in replies), base)
 
 
-def test_the_newest_root_is_given_once(tmp_path: Path) -> None:
+def test_the_newest_root_is_sent_once(tmp_path: Path) -> None:
     serving = ReleaseServer(tmp_path)
     assert root_of(serving).status == "unknown"
     root = write(tmp_path, [surface(1)])
@@ -79,7 +79,7 @@ def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
     assert hashlib.sha256(whole).hexdigest() == new.root.manifest_sha256
 
 
-def test_what_is_not_here_is_unknown(tmp_path: Path) -> None:
+def test_missing_blobs_and_parts_are_unknown(tmp_path: Path) -> None:
     serving = ReleaseServer(tmp_path)
     root = write(tmp_path, [surface(1)])
     assert fetched(serving, "0" * 64)[0].status == "unknown"
@@ -87,7 +87,7 @@ def test_what_is_not_here_is_unknown(tmp_path: Path) -> None:
     assert serving.blob(request, time_ns=MADE_NS).reason == "part 1 of 1"
 
 
-def test_differences_are_kept_within_their_room(tmp_path: Path) -> None:
+def test_cached_differences_are_bounded(tmp_path: Path) -> None:
     write(tmp_path, [surface(k, 400.0 * k) for k in range(8)])
     release, serving = open_release(tmp_path), ReleaseServer(tmp_path, kept_bytes=1000)
     for _ in range(2):

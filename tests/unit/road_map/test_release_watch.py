@@ -24,7 +24,7 @@ def blobs(folder: Path) -> dict[Path, bytes]:
     return {p: p.read_bytes() for p in (folder / "blobs").rglob("*") if p.is_file()}
 
 
-def test_a_release_is_in_place_only_when_all_of_it_is_verified(tmp_path: Path) -> None:
+def test_a_release_is_current_only_when_all_of_it_is_verified(tmp_path: Path) -> None:
     write(tmp_path, [surface(i, 600.0 * i) for i in range(4)])
     watch = ReleaseWatch(tmp_path)
     watch.look()
@@ -38,7 +38,7 @@ def test_a_release_is_in_place_only_when_all_of_it_is_verified(tmp_path: Path) -
     assert watch.problem is None
 
 
-def test_a_bad_release_leaves_the_old_one_in_use(tmp_path: Path) -> None:
+def test_an_invalid_release_leaves_the_old_one_in_use(tmp_path: Path) -> None:
     write(tmp_path, [surface(1)])
     watch = ReleaseWatch(tmp_path)
     settle(watch)

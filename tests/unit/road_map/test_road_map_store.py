@@ -52,7 +52,7 @@ def test_a_release_is_read_from_the_store_as_from_its_folder(tmp_path: Path) -> 
         assert copy.blob("surfaces", *xy) == original.blob("surfaces", *xy)
 
 
-def test_what_is_in_force_outlives_the_process_and_is_watched_by_another(tmp_path: Path) -> None:
+def test_the_active_release_outlives_the_process_and_is_watched_by_another(tmp_path: Path) -> None:
     store, other = MapStore(tmp_path / "map.sqlite"), MapStore(tmp_path / "map.sqlite")
     watch = ReleaseWatch(other)
     for version in (7, 8, 9):
@@ -113,7 +113,7 @@ def test_an_unacceptable_root_is_refused_and_named(
     assert (store.coming(), store.highest()) == (None, 8)
 
 
-def test_only_the_operator_goes_back_and_what_was_left_does_not_return(
+def test_only_the_operator_goes_back_and_the_release_left_does_not_return(
     tmp_path: Path, store: MapStore
 ) -> None:
     roots = {}
@@ -156,7 +156,7 @@ def test_blobs_that_no_kept_release_needs_are_deleted(tmp_path: Path, store: Map
     assert read_release(store).road_surfaces().heights_m[0][0, 0] == 3.0
 
 
-def test_a_full_store_refuses_and_keeps_what_it_has(tmp_path: Path) -> None:
+def test_a_full_store_refuses_and_keeps_its_content(tmp_path: Path) -> None:
     store = MapStore(tmp_path / "map.sqlite", limit_bytes=400_000)
     write(tmp_path / "map", [surface(1)])
     stored(store, tmp_path / "map")

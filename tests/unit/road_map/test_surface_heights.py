@@ -92,7 +92,7 @@ def test_an_unknown_surface_or_point_has_no_height() -> None:
     assert outside_m.tolist() == [math.inf]
 
 
-def test_columns_that_do_not_fit_are_refused() -> None:
+def test_columns_of_different_lengths_are_refused() -> None:
     heights = SurfaceHeights(surfaces([CURVED]))
     with pytest.raises(ValueError, match=r"expected three of \(n,\), got \(1,\), \(2,\), \(1,\)"):
         heights.heights_m([0], [0.0, 0.0], [0.0])

@@ -158,32 +158,28 @@ class ReleaseBuilder:
         for manifest in (self.reference.manifest, *(() if current is None else (current.manifest,))):
             parents = manifest.lineage_parent_id.tolist()
             pairs |= set(zip(manifest.lineage_surface_id.tolist(), parents, strict=True))
-        here = set(surface_ids(self.reference.source, self.reference.manifest).tolist())
-        return sorted(pair for pair in pairs if pair[0] in here)
+        ids = set(surface_ids(self.reference.source, self.reference.manifest).tolist())
+        return sorted(pair for pair in pairs if pair[0] in ids)
 
     def _refuse_reused_ids(self) -> None:
         """Raise ReleaseError if the reference reuses the id of a surface that an earlier release removed."""
-        here = surface_ids(self.reference.source, self.reference.manifest)
-        source, newer = ReleaseFolder(self.folder), here
-        removed: list[NDArray[np.int64]] = []
+        reference_ids = surface_ids(self.reference.source, self.reference.manifest)
+        source, newer = ReleaseFolder(self.folder), reference_ids
+        removed: set[int] = set()
         # From the newest to the oldest: ids that only the older of two successive releases has were removed.
-        corrected = (
-            record for record in history(self.folder) if record.manifest.reference_sha256 is not None
-        )
-        for number, record in enumerate(corrected):
-            ids = surface_ids(source, record.manifest)
+        corrected = [
+            each.manifest for each in history(self.folder) if each.manifest.reference_sha256 is not None
+        ]
+        for number, manifest in enumerate(corrected):
+            ids = surface_ids(source, manifest)
             if number:
-                removed.append(np.setdiff1d(ids, newer))
-            removed.append(np.setdiff1d(record.manifest.lineage_parent_id, ids))
+                removed |= set(np.setdiff1d(ids, newer).tolist())
+            removed |= set(np.setdiff1d(manifest.lineage_parent_id, ids).tolist())
             newer = ids
-        reused = np.intersect1d(here, np.concatenate([*removed, np.zeros(0, np.int64)]))
-        if len(reused):
-            raise ReleaseError(
-                self.reference.source.name(None),
-                "surface_id",
-                "no id of a removed surface",
-                actual=f"{len(reused)}, {reused[0]} first",
-            )
+        reused = sorted(removed & set(reference_ids.tolist()))
+        if reused:
+            name, actual = self.reference.source.name(None), f"{len(reused)}, {reused[0]} first"
+            raise ReleaseError(name, "surface_id", "no id of a removed surface", actual=actual)
 
     @contextmanager
     def _locked(self) -> Iterator[None]:

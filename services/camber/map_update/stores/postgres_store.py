@@ -30,8 +30,8 @@ from camber.map_update.stores.reconnecting_client import ConnectionFailedError, 
 from camber.map_update.stores.store import (
     FORMAT,
     LAYOUT,
-    Judge,
     Outcome,
+    RefusalCheck,
     Store,
     StoreError,
     layout_defect,
@@ -74,9 +74,11 @@ class PostgresStore(Store):
         except StoreError:
             pass  # not reached yet
 
-    def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
+    def commit(
+        self, contributions: Sequence[Contribution], now_ns: int, refusal_of: RefusalCheck
+    ) -> list[Outcome]:
         """See `Store.commit`."""
-        return self._run(lambda db: self._commit(db, contributions, now_ns, judge))
+        return self._run(lambda db: self._commit(db, contributions, now_ns, refusal_of))
 
     def close(self) -> None:
         """Disconnect from the server."""
@@ -166,7 +168,11 @@ class PostgresStore(Store):
             raise _WrongDatabaseError(f"{self.name}: {defect}")
 
     async def _commit(
-        self, db: asyncpg.Connection, contributions: Sequence[Contribution], now_ns: int, judge: Judge
+        self,
+        db: asyncpg.Connection,
+        contributions: Sequence[Contribution],
+        now_ns: int,
+        refusal_of: RefusalCheck,
     ) -> list[Outcome]:
         async with db.transaction():
             last, partitions = await db.fetchrow("SELECT number, partitions FROM ledger_end FOR UPDATE")
@@ -175,7 +181,7 @@ class PostgresStore(Store):
             await asyncio.sleep(0)  # sends the query
             encoded = {id(each): (each.observations.tobytes(), each.digest()) for each in contributions}
             known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in await query}
-            outcomes, new = settle(contributions, known, judge)
+            outcomes, new = settle(contributions, known, refusal_of)
             if new:
                 rows, digests = zip(*(encoded[id(each)] for each in new), strict=True)
                 await self._create_partitions(db, partitions, last + len(new))

@@ -27,8 +27,8 @@ from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.stores.store import (
     FORMAT,
     LAYOUT,
-    Judge,
     Outcome,
+    RefusalCheck,
     Store,
     StoreError,
     layout_defect,
@@ -86,7 +86,9 @@ class SqliteStore(Store):
             self._db.close()
             raise
 
-    def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
+    def commit(
+        self, contributions: Sequence[Contribution], now_ns: int, refusal_of: RefusalCheck
+    ) -> list[Outcome]:
         """See `Store.commit`."""
         with self._transaction():
             known = {}
@@ -94,7 +96,7 @@ class SqliteStore(Store):
                 query = "SELECT digest FROM contribution WHERE vehicle = $1 AND kind = $2 AND id = $3"
                 for (digest,) in self._fetch(query, *contribution.name):
                     known[contribution.name] = digest
-            outcomes, new = settle(contributions, known, judge)
+            outcomes, new = settle(contributions, known, refusal_of)
             # Numbers are never reused, even if the last row of the ledger was deleted.
             ((last,),) = self._fetch(
                 "SELECT max(cursor, coalesce((SELECT max(number) FROM contribution), 0)) FROM progress"

@@ -31,7 +31,7 @@ from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
 from camber.map_update.fusion.votes import VOTE
 
-Judge = Callable[[Contribution], Refusal | None]
+RefusalCheck = Callable[[Contribution], Refusal | None]
 Rows = npt.NDArray[np.void]
 Ids = npt.NDArray[np.int64]
 
@@ -126,10 +126,12 @@ class Store(abc.ABC):
     """Query of the integers of a JSON array `$1`."""
 
     @abc.abstractmethod
-    def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
-        """Store what is new and not refused by `judge` in one transaction; returns when it is on the disk.
+    def commit(
+        self, contributions: Sequence[Contribution], now_ns: int, refusal_of: RefusalCheck
+    ) -> list[Outcome]:
+        """Store what is new and not refused by `refusal_of` in one transaction; returns when it is on the disk.
 
-        A known contribution is a duplicate whatever `judge` returns: its vehicle missed the receipt. Other content
+        A known contribution is a duplicate whatever `refusal_of` returns: its vehicle missed the receipt. Other content
         under a known name is refused. Raises StoreError if nothing of this group was stored, or if that is unknown
         (the connection broke during the commit); sent again, it is stored once in both cases.
         """
@@ -256,7 +258,9 @@ class Store(abc.ABC):
 
 
 def settle(
-    contributions: Sequence[Contribution], known: Mapping[tuple[str, str, str], bytes], judge: Judge
+    contributions: Sequence[Contribution],
+    known: Mapping[tuple[str, str, str], bytes],
+    refusal_of: RefusalCheck,
 ) -> tuple[list[Outcome], list[Contribution]]:
     """Return the outcome of each contribution, given the ledger's digests `known`, and the contributions to store."""
     digests = dict(known)
@@ -273,7 +277,7 @@ def settle(
                 continue
             text = f"{contribution.kind} {contribution.id}: other contents are stored under this id"
             refusal = Refusal("id_reused", text)
-        refusal = refusal or judge(contribution)
+        refusal = refusal or refusal_of(contribution)
         if refusal is not None:
             outcomes.append(Outcome("refused", refusal))
             continue

@@ -103,7 +103,7 @@ def changing(seed: int, before: int, after: int, by_m: float) -> FusedHeights:
     return heights(x, session=session)
 
 
-def test_a_road_that_changed_is_the_new_one_though_most_votes_are_of_the_old() -> None:
+def test_a_changed_road_is_the_new_one_though_most_votes_are_of_the_old() -> None:
     result = changing(1, 200, 60, 0.08)
     assert result.location_m[0] == pytest.approx(0.08, abs=0.01)
     assert result.first_session[0] == 40

@@ -21,9 +21,7 @@ def run() -> Run:
     return run_of(4, "fleet.vehicles=60", "fleet.drives_each=2", "duration_s=300.0", "fleet.rate_hz=4.0")
 
 
-def test_changes_are_published_unchanged_roads_are_left_and_the_mean_of_records_does_neither(
-    run: Run,
-) -> None:
+def test_changes_are_published_and_unchanged_roads_are_not_unlike_with_the_mean(run: Run) -> None:
     result = honest(run, 60)
     assert result["surfaces"] > 150
     assert result["ready"] > 20

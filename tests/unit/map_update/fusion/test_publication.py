@@ -119,7 +119,7 @@ def test_what_all_vehicles_have_in_common_counts_as_error() -> None:
     assert outcomes(decision(heights(0.05, 12), common_m=0.01))[0] == ("nothing", "not_significant")
 
 
-def test_a_bump_that_no_neighbour_shares_is_held() -> None:
+def test_a_step_that_no_neighbour_shares_is_held() -> None:
     offset_m = np.zeros(12)
     offset_m[5] = 0.08
     assert outcomes(decision(heights(offset_m)))[5] == ("hold", "step")
@@ -161,7 +161,7 @@ def test_a_correction_stays_is_renewed_or_is_withdrawn() -> None:
     assert withdrawn.surfaces["sigma_m"] == pytest.approx(np.hypot(0.01, 0.0055), rel=0.01)
 
 
-def test_a_height_that_many_confirm_becomes_as_sure_as_it_is_and_no_other() -> None:
+def test_a_confirmed_height_gets_its_sigma_and_no_other() -> None:
     sigma_m = decision(heights(0.004, 12)).surfaces["sigma_m"]
     assert sigma_m == pytest.approx(LEAST_SIGMA_M)
     assert decision(heights(0.02, 12)).surfaces["sigma_m"] == pytest.approx(np.hypot(0.02, 0.0055), rel=0.01)
@@ -176,7 +176,7 @@ def region(links: int) -> SurfaceNeighbourhood:
 
 
 @pytest.mark.parametrize("shift_m", [0.05, -0.05])
-def test_a_region_that_moved_alike_is_one_alarm_and_no_patches(shift_m: float) -> None:
+def test_a_region_that_moved_alike_raises_an_alarm_and_is_held(shift_m: float) -> None:
     rng = np.random.default_rng(1)
     around = region(8)
     decisions = decision(heights(shift_m + rng.normal(0.0, 0.01, 64)), around=around)
@@ -240,6 +240,6 @@ def test_a_larger_change_is_never_less_likely_published_or_held() -> None:
     assert seen[-1] == 1
 
 
-def test_every_rule_can_be_set() -> None:
+def test_thresholds_are_settings() -> None:
     strict = PublicationSettings(publish_threshold_m=0.1, publish_vehicles=40)
     assert outcomes(decision(heights(0.08, 12), settings=strict))[0] == ("nothing", "too_few_vehicles")

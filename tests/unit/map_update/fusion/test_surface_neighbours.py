@@ -42,7 +42,7 @@ def test_a_road_over_another_is_not_its_neighbour() -> None:
     assert neighbours(result, 2) == set()
 
 
-def test_a_road_goes_on_where_its_level_changes() -> None:
+def test_a_road_continues_where_its_level_changes() -> None:
     ramp = np.array([[50.0, 50.0], [52.0, 52.0]])  # rises ahead, to where the bridge begins
     bridge = surface(2, 20.2, level=1, heights_m=52.0)
     assert neighbours(made(surface(1, heights_m=ramp), bridge), 1) == {2}

@@ -92,7 +92,7 @@ def test_a_vehicle_20_cm_off_gets_no_weight_and_one_6_cm_off_is_corrected(
         assert result.bias_m[made.voter == 7].mean() > 0.03
 
 
-def test_a_changed_street_is_not_taken_for_the_bias_of_those_who_drive_there() -> None:
+def test_a_changed_street_is_not_attributed_to_its_vehicles() -> None:
     """Forty vehicles drive on one street only, which is 10 cm higher; twenty drive everywhere."""
     made, _ = district(3)
     only = made.voter >= 20
@@ -118,7 +118,7 @@ def test_false_heights_on_one_street_are_not_subtracted_as_bias() -> None:
     assert np.abs(heights_m[:10] - heights_m[10:].mean()).max() < 0.012
 
 
-def test_a_session_of_wrong_fixes_spoils_neither_its_vehicle_nor_the_street() -> None:
+def test_a_session_of_wrong_fixes_affects_neither_its_vehicle_nor_the_street() -> None:
     made, _ = district(5)
     honest, before_m = made.fused()
     wrong = (made.voter == 3) & (made.session == 1)

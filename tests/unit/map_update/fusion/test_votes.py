@@ -143,7 +143,7 @@ def test_unusable_observations_are_excluded(field: str, value: float) -> None:
     assert value_m == pytest.approx([0.2], abs=1e-4)
 
 
-def test_a_day_begins_at_four_in_the_morning_of_the_place() -> None:
+def test_a_session_begins_at_four_in_local_solar_time() -> None:
     # GPS time began at midnight in Greenwich: four o'clock there, five hours earlier further east.
     four_ns = np.array([4 * 3600 * 10**9, 4 * 3600 * 10**9 - 1])
     assert session_of(four_ns, np.zeros(2)).tolist() == [0, -1]

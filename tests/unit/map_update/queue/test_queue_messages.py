@@ -36,7 +36,7 @@ def test_contributions_survive_a_round_trip():
         assert got.contribution.digest() == was.contribution.digest()
 
 
-def test_outcomes_come_back_as_they_were():
+def test_outcomes_survive_a_round_trip():
     outcomes = [Outcome("stored"), Outcome("duplicate"), Outcome("refused", Refusal("datum", "datum Tokyo"))]
     assert unpack_outcomes(pack_outcomes(outcomes)) == outcomes
 
@@ -59,7 +59,7 @@ def test_an_invalid_name_is_rejected(vehicle):
 @pytest.mark.parametrize(
     "damage", [b"", b"\0\0\0\0", b"\xff\xff\xff\xff", b"\1\0\0\0\x90", b"\x05\0\0\0\x93\x02\xa1a\x90"]
 )
-def test_what_is_no_message_is_an_error_that_says_so(damage):
+def test_other_bytes_are_a_message_error(damage):
     with pytest.raises(QueueMessageError):
         unpack_contributions(damage)
     with pytest.raises(QueueMessageError):

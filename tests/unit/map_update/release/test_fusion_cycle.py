@@ -132,7 +132,7 @@ def test_the_release_does_not_depend_on_the_division_into_steps(tmp_path: Path, 
 
 def test_an_overtaken_step_writes_nothing(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
-    slow, quick = fusion_cycle(tmp_path, store), fusion_cycle(tmp_path, store)
+    quick = fusion_cycle(tmp_path, store)
 
     class Overtaking(SqliteStore):
         def observations_after(self, cursor: int, limit: int):  # type: ignore[no-untyped-def]
@@ -140,7 +140,7 @@ def test_an_overtaken_step_writes_nothing(tmp_path: Path, store: Store) -> None:
             quick.step(NOW_NS)
             return page
 
-    slow._store = Overtaking(tmp_path / "uploads.sqlite")
+    slow = fusion_cycle(tmp_path, Overtaking(tmp_path / "uploads.sqlite"))
     with pytest.raises(OvertakenError):
         slow.step(NOW_NS)
     votes = store.votes_of()

@@ -99,7 +99,7 @@ def test_a_roll_back_is_a_new_release_with_the_earlier_corrections(tmp_path: Pat
         builder.roll_back(99, time_ns=MADE_NS + 6)
 
 
-def test_an_offset_that_stays_keeps_the_release_that_it_is_from(tmp_path: Path) -> None:
+def test_an_unchanged_offset_keeps_its_first_release(tmp_path: Path) -> None:
     builder = make_builder(tmp_path)
     builder.build(corrections((2, 0.08)), time_ns=MADE_NS)
     builder.build(corrections((2, 0.08, 0.005, 9, MADE_NS), (3, 0.02)), time_ns=MADE_NS + 1)
@@ -116,7 +116,7 @@ def test_an_offset_that_stays_keeps_the_release_that_it_is_from(tmp_path: Path) 
         (corrections((2, 99_000.0)), "at most 100 m"),
     ],
 )
-def test_what_cannot_be_a_release_is_refused_and_the_one_before_stays(
+def test_invalid_corrections_are_refused_and_the_previous_release_stays(
     tmp_path: Path, rows: Corrections, field: str
 ) -> None:
     builder = make_builder(tmp_path)
@@ -126,7 +126,7 @@ def test_what_cannot_be_a_release_is_refused_and_the_one_before_stays(
     assert read_release(tmp_path / "out").root == root
 
 
-def test_lineage_is_carried_on_and_an_id_that_was_given_up_is_never_taken_again(tmp_path: Path) -> None:
+def test_lineage_is_kept_and_a_removed_id_is_never_reused(tmp_path: Path) -> None:
     builder = make_builder(tmp_path, [surface(1), surface(2, 50.0)])
     builder.build(corrections((1, 0.02)), time_ns=MADE_NS)
 
@@ -148,7 +148,7 @@ def test_lineage_is_carried_on_and_an_id_that_was_given_up_is_never_taken_again(
             )
 
 
-def test_corrections_come_back_from_their_bytes(tmp_path: Path) -> None:
+def test_corrections_survive_a_round_trip(tmp_path: Path) -> None:
     rows = normalize(corrections((2, 0.08123), (1, -0.01)), NONE, 4)
     back = from_bytes(to_bytes(rows, MADE_NS))
     assert back.tobytes() == rows.tobytes()

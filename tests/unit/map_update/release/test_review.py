@@ -36,7 +36,7 @@ def outcomes(decisions: Decisions) -> list[str]:
     return [DECISIONS[number] for number in decisions.surfaces["decision"]]
 
 
-def test_what_is_held_is_shown_with_its_numbers_and_since_when(tmp_path: Path) -> None:
+def test_held_changes_are_listed_with_their_numbers_and_time(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
     assert review.held() == []
     review.apply(decisions((3, "hold", 0.2), (5, "publish", 0.1)), MADE_NS)
@@ -47,7 +47,7 @@ def test_what_is_held_is_shown_with_its_numbers_and_since_when(tmp_path: Path) -
     assert review.held() == []
 
 
-def test_an_accepted_change_is_published_and_waits_no_more(tmp_path: Path) -> None:
+def test_an_accepted_change_is_published_and_no_longer_held(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
     review.append([review_decision(3, "accept", 0.2)])
     result = review.apply(decisions((3, "hold", 0.205), (4, "hold", 0.2)), MADE_NS)
@@ -57,7 +57,7 @@ def test_an_accepted_change_is_published_and_waits_no_more(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("action", ["hold", "publish"])
-def test_a_rejected_change_is_not_published_until_the_votes_say_another_height(
+def test_a_rejected_change_is_not_published_until_the_votes_give_another_height(
     tmp_path: Path, action: Decision
 ) -> None:
     review = ReviewFolder(tmp_path)
@@ -78,7 +78,7 @@ def test_the_last_decision_applies_and_all_are_stored(tmp_path: Path) -> None:
     assert outcomes(review.apply(decisions((3, "hold", 0.2)), MADE_NS)) == ["publish"]
 
 
-def test_a_line_that_was_cut_short_was_never_review_decision(tmp_path: Path) -> None:
+def test_an_incomplete_line_is_no_decision(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
     review.append([review_decision(3, "accept", 0.2)])
     path = tmp_path / "review" / "decisions.jsonl"
@@ -89,7 +89,7 @@ def test_a_line_that_was_cut_short_was_never_review_decision(tmp_path: Path) -> 
     assert [each.surface_id for each in review.decisions()] == [3, 4]
 
 
-def test_nobody_decides_without_a_name_and_a_reason(tmp_path: Path) -> None:
+def test_a_decision_needs_an_author_and_a_reason(tmp_path: Path) -> None:
     for missing in ("who", "why"):
         with pytest.raises(ReleaseError, match="has an author and a reason"):
             ReviewFolder(tmp_path).append([review_decision(3, "accept", 0.2, **{missing: " "})])

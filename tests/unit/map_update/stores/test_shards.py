@@ -19,7 +19,7 @@ def test_quarters_of_the_world_are_north_west_north_east_south_west_south_east()
     assert [QUARTERS.name(shard) for shard in QUARTERS.of(latitude, longitude)] == ["0", "1", "2", "3"]
 
 
-def test_the_key_of_a_tile_is_that_of_its_numbers():
+def test_the_quadkey_of_a_tile_follows_from_its_numbers():
     # Of the standard's example: tile x 3, y 5 at zoom 3 is 213.
     shards = Shards(["0", "1", "3", "20", "22", "23", "210", "211", "212", "213"])
     longitude = 2.0 * math.pi * 3.5 / 8 - math.pi
@@ -37,7 +37,7 @@ def test_a_point_is_in_the_shard_of_its_tile_at_any_depth():
         assert "".join(map(str, digits)).startswith(name)
 
 
-def test_one_shard_has_all_the_poles_too():
+def test_one_shard_covers_the_poles_too():
     whole = Shards([""])
     assert whole.name(0) == "world"
     assert whole.of(np.radians([89.0, -89.0, 0.0]), [0.0, 0.0, 3.0]).tolist() == [0, 0, 0]
@@ -54,7 +54,7 @@ def test_one_shard_has_all_the_poles_too():
         (["", "4"], "'4': expected up to"),
     ],
 )
-def test_shards_that_leave_out_a_part_of_the_world_or_have_one_twice_are_refused(keys, complaint):
+def test_shards_with_a_gap_or_an_overlap_are_refused(keys, complaint):
     with pytest.raises(ValueError, match=complaint):
         Shards(keys)
 
@@ -73,7 +73,7 @@ def test_a_contribution_within_a_shard_stays_whole_and_one_across_is_divided_row
     assert [part.digest() for _, part in again] == [part.digest() for _, part in parts]
 
 
-def test_a_contribution_without_records_is_somewhere_too():
+def test_a_contribution_without_records_belongs_to_the_first_shard():
     empty = contribution("b0", kind="batch", records=0)
     assert QUARTERS.split([empty]) == [[(0, empty)]]
     assert QUARTERS.split([]) == []

@@ -80,7 +80,7 @@ def test_a_file_of_a_later_version_or_no_database_is_an_error_that_names_it(path
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_in_a_damaged_file_what_is_acknowledged_is_there(tmp_path, seed):
+def test_a_damaged_file_contains_what_it_acknowledges(tmp_path, seed):
     rng = random.Random(seed)
     path = tmp_path / "uploads.sqlite"
     with closing(SqliteStore(path)) as store:
@@ -128,7 +128,7 @@ while True:
 """
 
 
-def test_a_store_killed_at_any_moment_has_everything_it_acknowledged_once(path):
+def test_a_store_killed_at_any_moment_has_all_acknowledged_uploads_once(path):
     rng = random.Random(11)
     acknowledged: Counter[str] = Counter()
     for kill in range(10):
@@ -184,7 +184,7 @@ def file_of_format_1(path, contributions):
         db.commit()
 
 
-def test_a_file_of_the_first_format_is_brought_to_this_one_with_all_it_holds(path):
+def test_a_file_of_the_first_format_is_converted_with_its_content(path):
     rng = np.random.default_rng(8)
     sent = [random_batch(f"b{n}", 5 + n, rng) for n in range(4)]
     file_of_format_1(path, sent)
@@ -208,7 +208,7 @@ def test_the_file_describes_its_layout_for_other_programs(path, store):
     assert result.tolist() == sent.observations.tolist()
 
 
-def test_a_file_whose_rows_are_laid_out_otherwise_is_refused(path, store):
+def test_a_file_with_another_layout_is_refused(path, store):
     store.close()
     with closing(sqlite3.connect(path)) as db:
         db.execute("UPDATE layout SET descr = '[]' WHERE name = 'vote'")

@@ -66,7 +66,7 @@ def test_an_upload_is_stored_once_and_then_a_duplicate_also_after_a_restart(data
     assert again.counts() == (1, 1)
 
 
-def test_other_contents_under_a_stored_id_are_refused_and_what_is_stored_stays(store):
+def test_other_content_under_a_stored_id_is_refused(store):
     committed(store, contribution("u1", height_m=40.0))
     (outcome,) = store.commit([contribution("u1", height_m=41.0)], NOW_NS, take_all)
     assert outcome.status == "refused"
@@ -76,15 +76,15 @@ def test_other_contents_under_a_stored_id_are_refused_and_what_is_stored_stays(s
     assert store.observations_after(0, 10).rows["road_height_m"].tolist() == [40.0]
 
 
-def test_ids_of_two_vehicles_and_of_uploads_and_batches_are_apart(store):
+def test_ids_are_per_vehicle_and_per_kind(store):
     same = [contribution("x"), contribution("x", vehicle="v2"), contribution("x", kind="batch")]
     assert committed(store, *same) == ["stored"] * 3
     assert names_in(store) == [("v1", "upload", "x"), ("v2", "upload", "x"), ("v1", "batch", "x")]
 
 
-def test_what_is_stored_stays_a_duplicate_when_it_would_be_refused_today(store):
+def test_a_stored_upload_is_a_duplicate_even_if_it_would_be_refused_now(store):
     committed(store, contribution("u1"))
-    assert committed(store, contribution("u1"), judge=refuse_all) == ["duplicate"]
+    assert committed(store, contribution("u1"), refusal_of=refuse_all) == ["duplicate"]
 
 
 def test_a_batch_is_one_ledger_row_and_all_its_observations_once(store):
@@ -98,7 +98,7 @@ def test_a_batch_is_one_ledger_row_and_all_its_observations_once(store):
     assert page.entries[0] == LedgerEntry(**expected, datum="WGS84", map_version=1, epoch_year=2024.0)
 
 
-def test_numbers_come_back_bit_for_bit(store):
+def test_observations_are_read_back_bit_for_bit(store):
     rng = np.random.default_rng(3)
     sent = [random_batch(f"b{n}", int(rng.integers(1, 200)), rng) for n in range(7)]
     committed(store, *sent)
@@ -115,7 +115,7 @@ def test_rows_of_a_contribution_come_in_the_order_of_time(store):
     assert times.tolist() == [*range(NOW_NS, NOW_NS + 50), NOW_NS]
 
 
-def test_reading_goes_on_at_the_cursor_in_whole_contributions_and_leaves_none_out(store):
+def test_reading_continues_at_the_cursor_in_whole_contributions_and_skips_none(store):
     committed(store, *(contribution(f"b{n}", kind="batch", records=n + 1) for n in range(12)))
     cursor, seen, sizes = 0, [], []
     while (result := store.observations_after(cursor, 10)).entries:
@@ -148,7 +148,7 @@ def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicat
     assert committed(store, *(contribution(f"u{n}") for n in range(4))) == ["duplicate"] * 4
 
 
-def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_not_given_again(store):
+def test_forgotten_contributions_are_pruned_by_age_and_their_numbers_not_reused(store):
     commit_one_by_one(store, 4)
     last = store.observations_after(0, 100).entries[3].number
     assert store.prune(NOW_NS + 10) == 0
@@ -163,7 +163,7 @@ def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_
     assert store.observations_after(0, 100).entries[0].number == last + 1
 
 
-def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
+def test_ledger_rows_received_later_are_not_pruned(store):
     commit_one_by_one(store, 3)
     store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     store.forget(NOW_NS + 10)
@@ -171,7 +171,7 @@ def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
     assert committed(store, *(contribution(f"u{n}") for n in (1, 2))) == ["duplicate"] * 2
 
 
-def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
+def test_at_most_the_given_number_is_forgotten_the_oldest_first(store):
     commit_one_by_one(store, 5)
     store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     assert [store.forget(NOW_NS + 5, most=2) for _ in range(4)] == [2, 2, 1, 0]
@@ -205,7 +205,7 @@ def test_votes_of_a_surface_are_replaced_and_those_of_others_stay(store):
     assert store.votes_of().tolist() == votes((1, 1, 1), (2, 3, 1)).tolist()
 
 
-def test_a_step_made_from_what_others_have_changed_since_is_not_written(database, store):
+def test_a_step_from_outdated_progress_is_not_written(database, store):
     other = database()
     seen = store.progress()
     other.advance(other.progress(), FusionStep(cursor=0))
@@ -222,12 +222,12 @@ def test_a_step_with_votes_of_a_surface_it_does_not_list_is_refused_whole(store)
 
 
 def test_a_fault_in_the_middle_of_a_group_stores_nothing_of_it(store):
-    def judge(candidate: Contribution) -> None:
+    def refusal_of(candidate: Contribution) -> None:
         if candidate.id == "u2":
             raise KeyError("a fault")
 
     with pytest.raises(KeyError):
-        committed(store, contribution("u1"), contribution("u2"), judge=judge)
+        committed(store, contribution("u1"), contribution("u2"), refusal_of=refusal_of)
     assert store.counts() == (0, 0)
     assert committed(store, contribution("u1")) == ["stored"]
 
@@ -252,7 +252,7 @@ def test_any_sequence_of_groups_stores_the_first_accepted_content_of_each_id_onc
 @needs_postgres
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(groups=GROUPS)
-def test_so_does_any_sequence_in_postgres(postgres, groups):
+def test_any_sequence_of_groups_in_postgres(postgres, groups):
     with closing(PostgresStore(postgres.new_database(), limit_s=10.0)) as store:
         check_sequence(store, groups)
 
@@ -272,5 +272,5 @@ def check_sequence(store: Store, groups) -> None:
             contribution(name, vehicle=vehicle, height_m=height_m, datum="Tokyo" if bad else "WGS84")
             for vehicle, name, height_m, bad in group
         ]
-        assert committed(store, *members, judge=refuse_tokyo) == wanted
+        assert committed(store, *members, refusal_of=refuse_tokyo) == wanted
     assert store.counts() == (len(model), len(model))
