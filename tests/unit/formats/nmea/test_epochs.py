@@ -5,6 +5,7 @@ import math
 import os
 import random
 import struct
+from dataclasses import replace
 from datetime import date
 from io import BytesIO
 from pathlib import Path
@@ -60,6 +61,10 @@ def at(content: str, time: str) -> bytes:
     return sentence(content.replace("060432.20", time))
 
 
+def solutions_in(results: Results) -> list[ReceiverSolution]:
+    return [result for result in results if isinstance(result, ReceiverSolution)]
+
+
 def comparable(results: Results) -> list[object]:
     return [str(result) if isinstance(result, FormatError) else result for result in results]
 
@@ -77,10 +82,8 @@ def test_gga_gst_and_rmc_make_one_solution() -> None:
     assert solution.covariance_enu_m2 is not None
     ee, en, eu, nn, nu, uu = solution.covariance_enu_m2
     assert (ee, nn, uu) == pytest.approx((0.0092**2, 0.0113**2, 0.021**2))
-    # major axis 30° east of north: east and north errors go together
-    assert en == pytest.approx(
-        (0.012**2 - 0.008**2) * math.sin(math.radians(30.0)) * math.cos(math.radians(30.0))
-    )
+    # Major axis 30° east of north: east and north errors are correlated; sin 30° · cos 30° = √3/4.
+    assert en == pytest.approx((0.012**2 - 0.008**2) * math.sqrt(3.0) / 4.0)
     assert (eu, nu) == (0.0, 0.0)
 
 
@@ -93,14 +96,10 @@ def test_southern_and_western_hemispheres_are_negative() -> None:
 @pytest.mark.parametrize(
     ("number", "quality"),
     [
-        (1, SolutionQuality.SINGLE),
-        (2, SolutionQuality.DGPS),
-        (3, SolutionQuality.PPP),
-        (4, SolutionQuality.FIX),
-        (5, SolutionQuality.FLOAT),
-        (6, SolutionQuality.DEAD_RECKONING),
+        (1, SolutionQuality.SINGLE), (2, SolutionQuality.DGPS), (3, SolutionQuality.PPP),
+        (4, SolutionQuality.FIX), (5, SolutionQuality.FLOAT), (6, SolutionQuality.DEAD_RECKONING),
     ],
-)
+)  # fmt: skip
 def test_gga_quality_is_mapped(number: int, quality: SolutionQuality) -> None:
     assert solution_of(sentence(GGA.replace(",E,4,", f",E,{number},"))).quality is quality
 
@@ -112,11 +111,8 @@ def test_geoid_separation_is_never_assumed() -> None:
 
 def test_gga_without_position_is_counted_without_error() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
-    assert (
-        decoder.feed(sentence("GNGGA,060432.20,,,,,0,00,99.99,,,,,,") + sentence("GNGGA,,,,,,0,,,,,,,,"))
-        == []
-    )
-    assert decoder.finish() == []
+    data = sentence("GNGGA,060432.20,,,,,0,00,99.99,,,,,,") + sentence("GNGGA,,,,,,0,,,,,,,,")
+    assert decoder.feed(data) + decoder.finish() == []
     assert decoder.epochs_without_position == 2
 
 
@@ -152,17 +148,10 @@ def test_malformed_field_is_named_with_the_expected_form(old: str, new: str, exp
     assert expected in message
 
 
-@pytest.mark.parametrize(
-    "gst",
-    [
-        None,
-        "GNGST,060432.20,,,,,,,",
-        "GNGST,060432.20,,,,,0.0,0.0,0.0",
-        GST.replace("060432.20", "060432.00"),
-    ],
-)
-def test_covariance_is_unknown_without_gst_of_the_same_time(gst: str | None) -> None:
-    assert solution_of((sentence(gst) if gst else b"") + sentence(GGA)).covariance_enu_m2 is None
+def test_covariance_is_unknown_without_gst_of_the_same_time() -> None:
+    empty, zero = "GNGST,060432.20,,,,,,,", "GNGST,060432.20,,,,,0.0,0.0,0.0"
+    for gst in (b"", sentence(empty), sentence(zero), at(GST, "060432.00")):
+        assert solution_of(gst + sentence(GGA)).covariance_enu_m2 is None
 
 
 def test_malformed_gst_is_an_error_and_covariance_stays_unknown() -> None:
@@ -196,7 +185,7 @@ def test_impossible_date_is_an_error(content: str) -> None:
 
 def test_date_advances_at_midnight() -> None:
     stream = b"".join(at(GGA, time) for time in ("235959.80", "235959.90", "000000.00", "000000.10"))
-    times = [s.time_ns for s in decode(stream) if isinstance(s, ReceiverSolution)]
+    times = [s.time_ns for s in solutions_in(decode(stream))]
     assert [(b - a) for a, b in itertools.pairwise(times)] == [NS_PER_SECOND // 10] * 3
 
 
@@ -209,9 +198,7 @@ def test_sentence_from_before_midnight_has_the_previous_date() -> None:
 
 def test_leap_second_of_2016_is_one_second_long() -> None:
     stream = b"".join(at(GGA, time) for time in ("235959.00", "235960.00", "000000.00"))
-    times = [
-        s.time_ns for s in decode(stream, utc_date=date(2016, 12, 31)) if isinstance(s, ReceiverSolution)
-    ]
+    times = [s.time_ns for s in solutions_in(decode(stream, utc_date=date(2016, 12, 31)))]
     assert [(b - a) for a, b in itertools.pairwise(times)] == [NS_PER_SECOND] * 2
     assert "UTC time that exists" in error_of(at(GGA, "235960.00"))
 
@@ -260,7 +247,7 @@ def test_late_gst_is_counted_and_learnt_from() -> None:
     for second in (33, 34, 35, 36):
         results += decoder.feed(epoch(f"0604{second}.00", GGA, GST))
     results += decoder.finish()
-    known = [s.covariance_enu_m2 is not None for s in results if isinstance(s, ReceiverSolution)]
+    known = [s.covariance_enu_m2 is not None for s in solutions_in(results)]
     assert known == [False, False, False, False, True, True, True]
     assert decoder.late_sentences == 1
 
@@ -345,32 +332,26 @@ def test_random_fields_never_raise(name: str, fields: list[str]) -> None:
 def test_replaced_field_never_raises_or_gives_nonfinite_numbers(content: str, index: int, value: str) -> None:
     fields = content.split(",")
     fields[min(index, len(fields) - 1)] = value
-    for result in decode(sentence(",".join(fields)) + SAMPLE):
-        if isinstance(result, ReceiverSolution):
-            assert all(map(math.isfinite, (result.latitude_rad, result.longitude_rad, result.height_m)))
+    for result in solutions_in(decode(sentence(",".join(fields)) + SAMPLE)):
+        assert all(map(math.isfinite, (result.latitude_rad, result.longitude_rad, result.height_m)))
 
 
 @given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
 def test_flipped_bit_never_makes_another_solution(byte: int, bit: int) -> None:
     damaged = bytearray(SAMPLE)
     damaged[byte] ^= 1 << bit
-    good = {
-        (s.time_ns, s.latitude_rad, s.height_m) for s in decode(SAMPLE) if isinstance(s, ReceiverSolution)
-    }
-    decoded = {
-        (s.time_ns, s.latitude_rad, s.height_m)
-        for s in decode(bytes(damaged))
-        if isinstance(s, ReceiverSolution)
-    }
+    good, decoded = (
+        {(s.time_ns, s.latitude_rad, s.height_m) for s in solutions_in(decode(data))}
+        for data in (SAMPLE, bytes(damaged))
+    )
     assert decoded <= good
     assert len(decoded) >= len(good) - 1
 
 
 @given(st.integers(0, len(SAMPLE)))
 def test_truncation_gives_a_prefix_but_for_the_last_epoch(length: int) -> None:
-    whole = decode(SAMPLE)
-    part = [result for result in decode(SAMPLE[:length]) if isinstance(result, ReceiverSolution)]
-    assert part[:-1] == [r for r in whole if isinstance(r, ReceiverSolution)][: max(0, len(part) - 1)]
+    part = solutions_in(decode(SAMPLE[:length]))
+    assert part[:-1] == solutions_in(decode(SAMPLE))[: max(0, len(part) - 1)]
 
 
 @given(st.binary(max_size=2500), st.lists(st.integers(0, 5000), max_size=8))
@@ -398,12 +379,9 @@ def pieces(data: bytes, cuts: list[int]) -> tuple[list[object], int, int]:
 
 # writing
 
-sigmas = st.floats(0.001, 30.0)
 covariances = st.builds(
     lambda e, n, u, r: (e * e, r * e * n, 0.0, n * n, 0.0, u * u),
-    sigmas,
-    sigmas,
-    sigmas,
+    *[st.floats(0.001, 30.0)] * 3,
     st.floats(-0.95, 0.95),
 )
 solutions = st.builds(
@@ -425,11 +403,8 @@ def test_written_solutions_read_back(solution: ReceiverSolution, separation: flo
     stream = format_gga(solution, geoid_separation_m=separation) + format_gst(solution) + format_rmc(solution)
     (again,) = decode(stream, utc_date=None)
     assert isinstance(again, ReceiverSolution), str(again)
-    assert (again.time_ns, again.quality, again.satellites) == (
-        solution.time_ns,
-        solution.quality,
-        solution.satellites,
-    )
+    for name in ("time_ns", "quality", "satellites"):
+        assert getattr(again, name) == getattr(solution, name)
     # 1e-7 minutes
     assert again.latitude_rad == pytest.approx(solution.latitude_rad, abs=1.5e-11)
     assert again.longitude_rad == pytest.approx(solution.longitude_rad, abs=1.5e-11)
@@ -460,9 +435,8 @@ def test_pynmeagps_decodes_written_sentences(solution: ReceiverSolution, separat
         assert gst.stdLong == pytest.approx(math.sqrt(solution.covariance_enu_m2[0]), abs=0.51e-4)
         assert gst.stdAlt == pytest.approx(math.sqrt(solution.covariance_enu_m2[5]), abs=0.51e-4)
     if solution.velocity_enu_m_s is not None:
-        assert rmc.spd * 1852.0 / 3600.0 == pytest.approx(
-            math.hypot(*solution.velocity_enu_m_s[:2]), abs=1e-4
-        )
+        speed_m_s = math.hypot(*solution.velocity_enu_m_s[:2])
+        assert rmc.spd * 1852.0 / 3600.0 == pytest.approx(speed_m_s, abs=1e-4)
 
 
 def test_decoded_values_equal_those_of_pynmeagps() -> None:
@@ -473,31 +447,22 @@ def test_decoded_values_equal_those_of_pynmeagps() -> None:
     assert solution.height_m == pytest.approx(parsed.alt + parsed.sep)
 
 
+AT_ORIGIN = ReceiverSolution(
+    time_ns=10**18, latitude_rad=0.0, longitude_rad=0.0, height_m=0.0, quality=SolutionQuality.FIX
+)
+
+
 def test_minutes_are_never_rounded_to_sixty() -> None:
-    solution = ReceiverSolution(
-        time_ns=10**18,
-        latitude_rad=math.radians(35.0 - 1e-12),
-        longitude_rad=math.radians(-137.0 + 1e-12),
-        height_m=0.0,
-        quality=SolutionQuality.FIX,
-    )
+    place = {"latitude_rad": math.radians(35.0 - 1e-12), "longitude_rad": math.radians(-137.0 + 1e-12)}
+    solution = replace(AT_ORIGIN, **place)
     assert b",3500.0000000,N,13700.0000000,W," in format_gga(solution, geoid_separation_m=0.0)
 
 
 def test_nonfinite_numbers_are_refused_when_writing() -> None:
     with pytest.raises(ValueError, match="finite"):
-        format_gga(
-            ReceiverSolution(
-                time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=math.nan, quality=SolutionQuality.FIX
-            ),
-            geoid_separation_m=0.0,
-        )
+        format_gga(replace(AT_ORIGIN, height_m=math.nan), geoid_separation_m=0.0)
     with pytest.raises(ValueError, match="finite"):
-        format_rmc(
-            ReceiverSolution(
-                time_ns=0, latitude_rad=math.nan, longitude_rad=0.0, height_m=0.0, quality=SolutionQuality.FIX
-            )
-        )
+        format_rmc(replace(AT_ORIGIN, latitude_rad=math.nan))
 
 
 def test_recorded_console_has_no_error_and_no_position() -> None:
@@ -507,9 +472,7 @@ def test_recorded_console_has_no_error_and_no_position() -> None:
     data = path.read_bytes()
     decoder = NmeaDecoder(path.name)
     assert decoder.feed(data) + decoder.finish() == []
-    oracle = [
-        str(parsed.identity) for _, parsed in NMEAReader(BytesIO(data), nmeaonly=False) if parsed is not None
-    ]
+    oracle = [str(parsed.identity) for _, parsed in NMEAReader(BytesIO(data), nmeaonly=False) if parsed]
     assert decoder.epochs_without_position == sum(identity.endswith("GGA") for identity in oracle) > 50
     assert list(read_nmea(path)) == []
 
@@ -549,21 +512,13 @@ def test_gbs_gives_the_raim_result() -> None:
 @pytest.mark.parametrize(
     ("number", "system_id", "talker", "name"),
     [
-        ("03", "1", "GN", "G03"),
-        ("03", "", "GP", "G03"),
-        ("34", "1", "GN", "S21"),
-        ("68", "2", "GN", "R04"),
-        ("11", "3", "GN", "E11"),
-        ("311", "3", "GN", "E11"),
-        ("11", "", "GA", "E11"),
-        ("33", "4", "GN", "C33"),
-        ("433", "4", "GN", "C33"),
-        ("02", "5", "GN", "J02"),
-        ("194", "5", "GQ", "J02"),
-        ("05", "", "GN", "05"),
+        ("03", "1", "GN", "G03"), ("03", "", "GP", "G03"), ("34", "1", "GN", "S21"),
+        ("68", "2", "GN", "R04"), ("11", "3", "GN", "E11"), ("311", "3", "GN", "E11"),
+        ("11", "", "GA", "E11"), ("33", "4", "GN", "C33"), ("433", "4", "GN", "C33"),
+        ("02", "5", "GN", "J02"), ("194", "5", "GQ", "J02"), ("05", "", "GN", "05"),
         ("193", "1", "GN", "193"),
     ],
-)
+)  # fmt: skip
 def test_gbs_satellite_name_follows_system_and_talker(
     number: str, system_id: str, talker: str, name: str
 ) -> None:

@@ -186,26 +186,12 @@ def test_a_second_header_replaces_the_first() -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("latitude(deg)", "95.0"),
-        ("latitude(deg)", "nan"),
-        ("longitude(deg)", "inf"),
-        ("longitude(deg)", "180.1"),
-        ("height(m)", "1_0"),
-        ("height(m)", "1e9"),
-        ("height(m)", "-"),
-        ("Q", "0"),
-        ("Q", "8"),
-        ("Q", "1.0"),
-        ("ns", "-1"),
-        ("ns", "1000"),
-        ("sdn(m)", "-0.1"),
-        ("sde(m)", "nan"),
-        ("sdeu(m)", "x"),
-        ("age(s)", "nan"),
-        ("ratio", "inf"),
-        ("ratio", "-1"),
+        ("latitude(deg)", "95.0"), ("latitude(deg)", "nan"), ("longitude(deg)", "inf"),
+        ("longitude(deg)", "180.1"), ("height(m)", "1_0"), ("height(m)", "1e9"), ("height(m)", "-"),
+        ("Q", "0"), ("Q", "8"), ("Q", "1.0"), ("ns", "-1"), ("ns", "1000"), ("sdn(m)", "-0.1"),
+        ("sde(m)", "nan"), ("sdeu(m)", "x"), ("age(s)", "nan"), ("ratio", "inf"), ("ratio", "-1"),
     ],
-)
+)  # fmt: skip
 def test_malformed_value_names_line_field_and_expectation(name: str, value: str) -> None:
     message = error_of(with_value(name, value))
     assert message.startswith("rover.pos:3: ")
@@ -217,18 +203,10 @@ def test_malformed_value_names_line_field_and_expectation(name: str, value: str)
 @pytest.mark.parametrize(
     "time",
     [
-        "2270 604800.0",
-        "2270 -1",
-        "-1 5",
-        "9999 1",
-        "99999 1",
-        "2023/02/30 00:00:00",
-        "1979/01/01 00:00:00",
-        "2100/01/01 00:00:00",
-        "20230711000/01/01 00:00:00",
-        "a b",
+        "2270 604800.0", "2270 -1", "-1 5", "9999 1", "99999 1", "2023/02/30 00:00:00",
+        "1979/01/01 00:00:00", "2100/01/01 00:00:00", "20230711000/01/01 00:00:00", "a b",
     ],
-)
+)  # fmt: skip
 def test_malformed_time_is_an_error(time: str) -> None:
     assert "rover.pos:3: time" in error_of(DATUM + COLUMNS + ROW.replace("2270 194670.000", time))
 

@@ -122,15 +122,11 @@ def test_omitted_measurements_are_counted():
 @pytest.mark.parametrize(
     ("track", "pseudorange", "phase", "half"),
     [
-        (0b0000, False, False, False),
-        (0b0001, True, False, False),
-        (0b0011, True, True, True),
-        (0b0111, True, True, False),
-        (0b1111, True, True, False),
-        (0b0110, False, True, False),
+        (0b0000, False, False, False), (0b0001, True, False, False), (0b0011, True, True, True),
+        (0b0111, True, True, False), (0b1111, True, True, False), (0b0110, False, True, False),
         (0b0101, True, False, False),
     ],
-)
+)  # fmt: skip
 def test_tracking_status_determines_valid_values(track, pseudorange, phase, half):
     epoch = read(rawx([row(track=track)]))[0].epoch
     assert math.isnan(epoch.pseudorange_m[0]) != pseudorange
@@ -178,19 +174,12 @@ def test_times_are_rounded_to_ns():
 @pytest.mark.parametrize(
     "frame",
     [
-        rawx([row()], count=2),
-        rawx([row()], count=0),
-        rawx([row()], version=2),
-        rawx([row()], tow_s=604_800.0),
-        rawx([row()], tow_s=-0.001),
-        rawx([row()], tow_s=math.nan),
-        rawx([row()], tow_s=math.inf),
-        rawx([row()], week=0),
-        rawx([row()], week=65535),
-        ubx_frame(0x02, 0x15, b""),
-        ubx_frame(0x02, 0x15, bytes(15)),
+        rawx([row()], count=2), rawx([row()], count=0), rawx([row()], version=2),
+        rawx([row()], tow_s=604_800.0), rawx([row()], tow_s=-0.001), rawx([row()], tow_s=math.nan),
+        rawx([row()], tow_s=math.inf), rawx([row()], week=0), rawx([row()], week=65535),
+        ubx_frame(0x02, 0x15, b""), ubx_frame(0x02, 0x15, bytes(15)),
     ],
-)
+)  # fmt: skip
 def test_inconsistent_messages_are_counted_and_never_raise(frame):
     decoder = UbxDecoder("port")
     assert decoder.feed(frame + frame) == []

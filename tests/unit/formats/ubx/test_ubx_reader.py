@@ -374,14 +374,10 @@ def test_jamming_and_spoofing_states_are_reported(version):
 @pytest.mark.parametrize(
     ("states", "jamming"),
     [
-        ((1, 1), "none"),
-        ((1, 0), "unknown"),
-        ((0, 2), "warning"),
-        ((1, 3), "critical"),
-        ((0, 0), "unknown"),
-        ((), "unknown"),
+        ((1, 1), "none"), ((1, 0), "unknown"), ((0, 2), "warning"), ((1, 3), "critical"),
+        ((0, 0), "unknown"), ((), "unknown"),
     ],
-)
+)  # fmt: skip
 def test_worst_front_end_counts_and_an_unknown_one_excludes_none(states, jamming):
     assert last_report(front_ends(*states)).jamming == jamming
 
