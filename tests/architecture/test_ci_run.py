@@ -44,10 +44,10 @@ def test_it_says_where_containers_cannot_be_tested(tmp_path: Path, info: bool, c
 
 
 def test_it_says_nothing_of_containers_where_they_are_tested(tmp_path: Path) -> None:
-    said = ci(tmp_path)
-    assert "ci: took" in said
-    assert NO_ENGINE not in said
-    assert "TOO LONG" not in said
+    output = ci(tmp_path)
+    assert "ci: took" in output
+    assert NO_ENGINE not in output
+    assert "TOO LONG" not in output
 
 
 def test_on_a_slow_machine_it_says_so_and_does_not_fail(tmp_path: Path) -> None:

@@ -59,11 +59,11 @@ class Checkout:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
     def installed(self) -> list[str]:
-        """What pip said since it was asked for last."""
+        """Calls of pip since the last call of this."""
         log = self.folder / "pip.log"
-        said = log.read_text().splitlines() if log.exists() else []
+        calls = log.read_text().splitlines() if log.exists() else []
         log.unlink(missing_ok=True)
-        return said
+        return calls
 
     def _program(self, name: str, text: str) -> None:
         path = self.folder / "stubs" / name

@@ -40,7 +40,7 @@ def test_every_entry_says_what_it_means_what_is_seen_and_what_to_do() -> None:
             assert cells[2], row
 
 
-def test_what_is_said_to_be_possible_elsewhere_is_still_there() -> None:
+def test_commands_named_in_the_runbook_exist() -> None:
     for file, code in ELSEWHERE:
         path = ROOT / "services" / "camber" / file
         assert path.is_file(), file

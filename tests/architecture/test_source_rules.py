@@ -61,18 +61,18 @@ def test_a_folder_that_keeps_a_rule_is_not_listed() -> None:
     assert sorted(unfinished() - counts().keys()) == []
 
 
-def test_the_glossary_has_words() -> None:
+def test_the_glossary_is_read() -> None:
     assert {"told", "whence", "found"} <= {word.word for word in words()}
 
 
 @pytest.mark.parametrize(
     "text", ["def told() -> int: ...\n", "x = 1  # what it was told\n", "def f(said): ...\n"]
 )
-def test_a_word_not_to_use_is_noticed(text: str) -> None:
+def test_a_term_not_to_use_is_noticed(text: str) -> None:
     assert len(list(word_violations(Path("planted.py"), text))) == 1
 
 
-def test_a_word_in_a_page_is_noticed_but_not_in_code() -> None:
+def test_a_term_in_a_page_is_noticed_but_not_in_code() -> None:
     page = "It is told once.\nThe field `told` is old.\n"
     assert [violation.line for violation in word_violations(Path("planted.md"), page)] == [1]
 

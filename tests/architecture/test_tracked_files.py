@@ -18,17 +18,17 @@ PLACES = {
 
 
 def texts() -> list[tuple[str, str]]:
-    found = []
+    matches = []
     for path in tracked_files():
         if path.suffix not in {".bin", ".png", ".mcap", ".whl"}:
-            found.append((str(path.relative_to(ROOT)), path.read_text(encoding="utf-8", errors="replace")))
-    return found
+            matches.append((str(path.relative_to(ROOT)), path.read_text(encoding="utf-8", errors="replace")))
+    return matches
 
 
 @pytest.mark.parametrize("place", PLACES)
 def test_no_file_names(place: str) -> None:
     pattern = re.compile(PLACES[place])
-    assert [(name, found[0]) for name, text in texts() if (found := pattern.search(text))] == []
+    assert [(name, matches[0]) for name, text in texts() if (matches := pattern.search(text))] == []
 
 
 def test_the_patterns_find_what_they_are_for() -> None:
@@ -52,8 +52,8 @@ def test_names_of_test_files_are_unique() -> None:
 
 def packages() -> set[str]:
     """The packages of the sources, as paths below `camber`."""
-    found = {path.parent.relative_to(root) for root in SOURCE_ROOTS for path in root.rglob("*.py")}
-    return {path.as_posix() for path in found} - {"."}
+    matches = {path.parent.relative_to(root) for root in SOURCE_ROOTS for path in root.rglob("*.py")}
+    return {path.as_posix() for path in matches} - {"."}
 
 
 def folders_of_unit_tests() -> set[str]:

@@ -1,6 +1,6 @@
 """What a hostile peer says on the channels of a vehicle: nothing that anybody may take for a message that counts.
 
-Everything here is refused by whoever decodes it, or for its age: that is checked when it is made. Each kind goes to
+Everything here is refused by its decoder, or for its age: that is checked when it is made. Each kind goes to
 every channel that a service subscribes to and to every question that one answers.
 """
 
@@ -45,7 +45,7 @@ def malformed(
 ) -> Iterator[Malformed]:
     """Of every kind some for every channel. `now_ns`: messages that are well-formed are years from it.
 
-    In a replay no age is judged, and nothing well-formed is said.
+    In a replay no age is judged, and nothing well-formed is published.
     """
     random = Random(seed)
     for channel in channels(replayed=replayed):

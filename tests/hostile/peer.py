@@ -31,7 +31,7 @@ def main(endpoint: str, vehicle: str, count: int, seed: int, rate_hz: float, rep
     questions = [item for item in made if item.asks and item.kind != "large"]
     messages = [item for item in made if not item.asks and item.kind != "large"]
     session = open_session(ZenohSettings(mode="client", connect=[endpoint]))
-    said: Counter[str] = Counter()
+    sent: Counter[str] = Counter()
     print("ready", flush=True)
     began = time.monotonic()
     for number in range(count):
@@ -42,11 +42,11 @@ def main(endpoint: str, vehicle: str, count: int, seed: int, rate_hz: float, rep
         else:
             item = random.choice(messages)
         _say(session, item)
-        said[item.kind] += 1
+        sent[item.kind] += 1
         if rate_hz > 0.0 and number % _BATCH == 0:
             time.sleep(max(0.0, number / rate_hz - (time.monotonic() - began)))
     seconds = time.monotonic() - began
-    print(json.dumps({"said": sum(said.values()), "seconds": round(seconds, 2), "kinds": said}), flush=True)
+    print(json.dumps({"sent": sum(sent.values()), "seconds": round(seconds, 2), "kinds": sent}), flush=True)
     session.close()
 
 

@@ -1,6 +1,6 @@
 """A million malformed messages at full speed: `PYTHONPATH=tests python -m hostile.run` (`make hostile`).
 
-A live vehicle drives for half a minute alone, then beside the peer until that has said all, then alone again. Exit code
+A live vehicle drives for half a minute alone, then with the peer until it has sent all, then alone again. Exit code
 1 where a service ends, a wrong fix is confirmed, fewer right ones are than alone, memory grows beyond what queues may
 hold, or a service is busier five seconds after the peer than it was before.
 """
@@ -68,13 +68,15 @@ class Observed:
         """From the last one to now."""
         now_s, after = time.monotonic(), self.readings()
         verdict_counts = self.witness.verdict_counts(self.began_s, now_s)
-        said_of_right = sum(n for (fix, _), n in verdict_counts.items() if fix == "right")
-        right = sum(n for (fix, word), n in verdict_counts.items() if fix == "right" and word in TRUSTED)
+        verdicts_of_right = sum(n for (fix, _), n in verdict_counts.items() if fix == "right")
+        right = sum(
+            n for (fix, verdict), n in verdict_counts.items() if fix == "right" and verdict in TRUSTED
+        )
         seconds = now_s - self.began_s
-        found = Stretch(
+        summary = Stretch(
             round(seconds, 1),
-            {f"{fix}, {word}": n for (fix, word), n in sorted(verdict_counts.items())},
-            round(right / max(said_of_right, 1), 4),
+            {f"{fix}, {verdict}": n for (fix, verdict), n in sorted(verdict_counts.items())},
+            round(right / max(verdicts_of_right, 1), 4),
             round(right / seconds, 2),
             self.witness.wrong_but_trusted(self.began_s, now_s).total(),
             round(len(self.witness.messages(Verdict, self.began_s, now_s)) / seconds, 2),
@@ -82,7 +84,7 @@ class Observed:
             {name: round(after[name].uss_mb, 1) for name in after},
         )
         self._begin()
-        return found
+        return summary
 
 
 def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Stretch | float | str | int]:
@@ -95,14 +97,14 @@ def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Str
         with started("-m", "hostile.peer", vehicle.endpoint, "demo", count, seed, rate_hz) as hostile:
             output, _ = hostile.communicate()
             code = hostile.returncode
-        beside = observed.stretch()
+        during = observed.stretch()
         calm_after_s = calm(observed, alone)
         wait_s(ALONE_S)
         after = observed.stretch()
         ended = vehicle.ended()
         return {
             "alone": alone,
-            "beside": beside,
+            "during": during,
             "after": after,
             "calm_after_s": calm_after_s,
             "peer": output.splitlines()[-1],
@@ -148,11 +150,11 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     came = attack(Path(tempfile.mkdtemp(prefix="run-", dir=args.out)), args.count, seed, args.rate)
     (args.out / "hostile.json").write_text(json.dumps(came, default=vars, indent=1))
-    alone, beside, after = (came[name] for name in ("alone", "beside", "after"))
+    alone, during, after = (came[name] for name in ("alone", "during", "after"))
     assert isinstance(alone, Stretch)
-    assert isinstance(beside, Stretch)
+    assert isinstance(during, Stretch)
     assert isinstance(after, Stretch)
-    for name, stretch in (("alone", alone), ("beside", beside), ("after", after)):
+    for name, stretch in (("alone", alone), ("during", during), ("after", after)):
         print(
             f"{name:7} {stretch.seconds:6.1f} s  {stretch.verdicts_hz:5.2f} verdicts/s  right confirmed"
             f" {100 * stretch.right_confirmed:5.1f} %, {stretch.right_confirmed_hz:.2f} a second"
@@ -164,10 +166,10 @@ def main() -> int:
     grown = {name: after.uss_mb[name] - alone.uss_mb[name] for name in after.uss_mb}
     checks = {
         f"ended: {came['ended']}": came["ended"] == "{}",
-        "a wrong fix was confirmed": not (beside.wrong_confirmed or after.wrong_confirmed),
+        "a wrong fix was confirmed": not (during.wrong_confirmed or after.wrong_confirmed),
         "the peer did not say all": came["peer_code"] == 0
-        and json.loads(str(came["peer"]))["said"] == args.count,
-        "fewer right fixes were confirmed": as_good(beside, alone),
+        and json.loads(str(came["peer"]))["sent"] == args.count,
+        "fewer right fixes were confirmed": as_good(during, alone),
         "fewer right fixes are confirmed afterwards": as_good(after, alone),
         f"busy after {RECOVERY_S:g} s still": float(str(came["calm_after_s"])) <= RECOVERY_S,
         f"memory grew: {grown}": max(grown.values()) <= MOST_MB,

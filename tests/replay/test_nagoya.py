@@ -36,14 +36,14 @@ def test_no_wrong_fix_is_confirmed_and_nearly_all_right_ones_are(out):
     assert summary["notes"] == summary["damage"] == []
 
 
-def test_what_was_made_up_is_named_beside_the_figures(out):
+def test_synthesised_inputs_are_named_with_the_figures(out):
     made_up = load_manifest(DRIVE).surrogates.inputs
     assert {"wheel_speed", "yaw_rate", "links", "road_surfaces"} <= set(made_up)
     for name in made_up:
         assert any(name in line for line in summary_of(out)["surrogates"])
 
 
-def test_what_is_said_is_the_drives_and_not_the_processes(out, tmp_path):
+def test_verdicts_depend_on_the_drive_and_not_on_the_processes(out, tmp_path):
     """No bus, no other process, no waiting: none of these has a part in any message."""
     drive = in_one_process(DRIVE, tmp_path, "surrogates.seed=1")
     assert len(drive.recorded["verdict"]) > 6000

@@ -62,17 +62,15 @@ def test_speed_changes_no_figure(outs):
 
 def test_speed_changes_no_byte_on_any_key(outs):
     fast, slow = payloads(outs["max"]), payloads(outs["20"])
-    assert {key: len(found) for key, found in fast.items()} == {
-        key: len(found) for key, found in slow.items()
-    }
-    for key, found in fast.items():
-        assert found == slow[key], f"{key} differs"
+    assert {key: len(row) for key, row in fast.items()} == {key: len(row) for key, row in slow.items()}
+    for key, row in fast.items():
+        assert row == slow[key], f"{key} differs"
 
 
 def test_one_process_says_what_the_processes_of_a_replay_say(outs, drives):
     drive = drives[SEEDS[0]]
-    words = {item.message.verdict for item in drive.recorded["verdict"]}
-    assert words >= {"confirmed", "erroneous", "unknown"}
+    verdicts = {item.message.verdict for item in drive.recorded["verdict"]}
+    assert verdicts >= {"confirmed", "erroneous", "unknown"}
     said_alike(outs["max"], drive)
     of_replay = summary_of(outs["max"])
     for name in ("tentative", "confirmed", "right", "episodes", "controls", "position", "verdicts"):

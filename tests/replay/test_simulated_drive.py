@@ -49,10 +49,10 @@ def test_right_fixes_are_passed_on_and_those_of_a_wrong_base_are_not(out: Path) 
     truth = read_truth(out.parent / "drive" / "truth.csv", "camber")
     wrong = set(truth.time_ns[truth.fix_state == 1].tolist())
     assert len(wrong) >= 20  # of forty epochs; the rest has no fix
-    words = Counter(
+    verdict_counts = Counter(
         item.message.verdict for item in recorded(out)["verdict"] if item.message.time_ns in wrong
     )
-    assert not words.keys() & {"confirmed", "confirmed_after_verification"}
+    assert not verdict_counts.keys() & {"confirmed", "confirmed_after_verification"}
     assert summary["confirmed"]["wrong"] == 0
     assert summary["right"]["kept"] > 0.8
 

@@ -46,7 +46,7 @@ def read(pid: int, at_s: float) -> Reading:
 def busy_s() -> float:
     """Processor time that this machine has spent on anything, all processors together."""
     fields = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
-    user, nice, system, _idle, _waiting, irq, soft, *_ = (int(word) for word in fields)
+    user, nice, system, _idle, _waiting, irq, soft, *_ = (int(field) for field in fields)
     return (user + nice + system + irq + soft) / 100.0
 
 

@@ -1,6 +1,6 @@
 """All services on a drive without end, in real time: `PYTHONPATH=tests python -m soak.run --minutes 120` (`make soak`).
 
-Every ten seconds it reads what each process holds, and it hears every fix and every verdict as a consumer does. Exit
+Every ten seconds it reads what each process holds, and it receives every fix and every verdict as a consumer does. Exit
 code 1 where, after the warm-up,
   - memory (USS) grows by more than 2 %, and by half a megabyte: all the time, in a step that stays, or late;
   - file descriptors or threads grow and stay;
@@ -73,7 +73,7 @@ def windows(
     for item in witness.since(began_s):
         if isinstance(item.message, Verdict) and item.message.fix_id is not None:
             judged_s.setdefault(item.message.fix_id, item.at_s)
-    found = []
+    problems = []
     at_s = began_s
     while at_s < until_s:
         end_s = at_s + WINDOW_S if until_s - at_s >= 2.0 * WINDOW_S else until_s
@@ -81,10 +81,12 @@ def windows(
         ms = [1e3 * (judged_s.get(item.message.fix_id, np.inf) - item.at_s) for item in fixes]
         p50, p99, largest = np.percentile(ms, [50, 99, 100], method="higher") if ms else (np.inf,) * 3
         verdict_counts = witness.verdict_counts(at_s, end_s)
-        right = sum(n for said, n in verdict_counts.items() if said[0] == "right" and said[1] in TRUSTED)
+        right = sum(
+            n for outcome, n in verdict_counts.items() if outcome[0] == "right" and outcome[1] in TRUSTED
+        )
         spent = [busy_of for at, busy_of in busy if at_s <= at < end_s]
         load = (spent[-1] - spent[0]) / (EVERY_S * (len(spent) - 1)) if len(spent) > 1 else float("nan")
-        found.append(
+        problems.append(
             Window(
                 round(at_s - began_s, 1),
                 round(end_s - began_s, 1),
@@ -99,7 +101,7 @@ def windows(
             )
         )
         at_s = end_s
-    return found
+    return problems
 
 
 def drift(readings: list[Reading]) -> dict[str, float]:
@@ -129,26 +131,26 @@ def complaints(
     more_threads: int = 0,
 ) -> list[str]:
     """What of it must not be."""
-    found = []
+    problems = []
     for name, of in drifts.items():
         if of["growth_mb"] > max(GROWTH_SHARE * of["uss_mb"], least_mb):
-            found.append(f"{name}: memory grew by {of['growth_mb']:.2f} MB ({of['growth_percent']:.1f} %)")
+            problems.append(f"{name}: memory grew by {of['growth_mb']:.2f} MB ({of['growth_percent']:.1f} %)")
         for what, most in (("descriptors", 0), ("threads", more_threads)):
             if of[f"more_{what}"] > most:
-                found.append(f"{name}: {of[f'more_{what}']:.0f} more {what} than at the begin")
+                problems.append(f"{name}: {of[f'more_{what}']:.0f} more {what} than at the begin")
     for window in seen:
         where = f"{window.from_s:.0f} to {window.until_s:.0f} s"
         if window.confirmed_wrong:
-            found.append(f"{where}: {window.confirmed_wrong} wrong fixes confirmed")
+            problems.append(f"{where}: {window.confirmed_wrong} wrong fixes confirmed")
         if window.unjudged > UNJUDGED_SHARE * window.fixes:
-            found.append(f"{where}: {window.unjudged} of {window.fixes} fixes without a verdict")
+            problems.append(f"{where}: {window.unjudged} of {window.fixes} fixes without a verdict")
         if not window.confirmed_right:
-            found.append(f"{where}: nothing confirmed")
+            problems.append(f"{where}: nothing confirmed")
         if latency and not window.p99_ms <= LATENCY_MS:
-            found.append(
+            problems.append(
                 f"{where}: p99 of verdicts {window.p99_ms:.1f} ms, {window.busy_processors:.1f} processors busy"
             )
-    return found
+    return problems
 
 
 def table(drifts: dict[str, dict[str, float]], seen: list[Window]) -> str:
@@ -178,13 +180,13 @@ def soak(folder: Path, minutes: float, warm_up_minutes: float) -> dict[str, Any]
     busy: list[tuple[float, float]] = []
     with driving(vehicle) as witness:
         began_s = time.monotonic()
-        next_s, said_s = began_s, began_s
+        next_s, reported_s = began_s, began_s
         while (now_s := time.monotonic()) - began_s < 60.0 * minutes and not vehicle.ended():
             for name, process in vehicle.running.items():
                 readings[name].append(read(process.pid, now_s - began_s))
             busy.append((now_s, busy_s()))
-            if now_s - said_s >= WINDOW_S:
-                said_s = now_s
+            if now_s - reported_s >= WINDOW_S:
+                reported_s = now_s
                 print(
                     f"{(now_s - began_s) / 60.0:.0f} min: {dict(witness.verdict_counts(now_s - WINDOW_S))}",
                     flush=True,

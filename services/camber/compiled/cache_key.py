@@ -1,6 +1,6 @@
-"""What the machine code of a compiled function rests on, as a digest: when it changes, the code is compiled anew.
+"""Digest of everything that the machine code of a compiled function depends on.
 
-numba freezes into the code whatever a function reaches by name: constants, tables, other compiled functions with all
+numba freezes into the code what a function reaches by name: constants, tables, other compiled functions with all
 that they reach. Its own cache looks at the function's own file alone, and goes on with the old code where a function
 in another file has changed (numba manual, "Notes on Caching"). Here the digest is of the things themselves, not of
 files: an edited comment compiles nothing, a constant that comes out differently does.
@@ -32,8 +32,8 @@ _VERSIONS = (platform.python_version(), *(version(name) for name in ("numba", "l
 _first_flags: dict[int, tuple[CodeType, int]] = {}
 
 
-class NotKnown(Exception):  # noqa: N818 (the name says what is the matter)
-    """The function reaches something of which this module cannot tell whether it has changed."""
+class NotKnown(Exception):  # noqa: N818 (the name is the reason)
+    """The function reaches a value whose changes this module cannot detect."""
 
 
 def inputs_digest(dispatcher: Dispatcher[Any], arguments: Iterable[Any] = ()) -> bytes:
@@ -132,10 +132,12 @@ def _global_names(code: CodeType) -> tuple[str, ...]:
 
 
 def _type(of: Any) -> object:
-    """numba's name of the type says all about it but how the fields of a named tuple are called."""
+    """numba's name of a type identifies it, apart from the fields of a named tuple."""
     if isinstance(of, types.BaseTuple):
-        said = _class(of.instance_class) if isinstance(of, types.BaseNamedTuple) else type(of).__name__
-        return said, [_type(item) for item in of.types]
+        name_of_type = (
+            _class(of.instance_class) if isinstance(of, types.BaseNamedTuple) else type(of).__name__
+        )
+        return name_of_type, [_type(item) for item in of.types]
     return _without_address(of)
 
 
@@ -160,10 +162,12 @@ def _is_versioned(value: Any) -> bool:
 
 
 def _without_address(value: Any) -> str:
-    """What would be another text in the next process says nothing."""
+    """A name that is the same in the next process."""
     if isinstance(value, ModuleType | np.ufunc):
         return value.__name__
-    said = repr(value) if isinstance(value, types.Type) else f"{value.__module__}.{value.__qualname__}"
-    if " at 0x" in said:
-        raise NotKnown(f"it reaches {said}")
-    return said
+    name_of_type = (
+        repr(value) if isinstance(value, types.Type) else f"{value.__module__}.{value.__qualname__}"
+    )
+    if " at 0x" in name_of_type:
+        raise NotKnown(f"it reaches {name_of_type}")
+    return name_of_type

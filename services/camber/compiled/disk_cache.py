@@ -23,16 +23,15 @@ from numba.core.errors import NumbaWarning
 
 from camber.compiled.cache_key import NotKnown, inputs_digest
 
-_DIGEST_BYTES = 32
+_DIGEST_BYTES = 32  # SHA-256
 _core: Any = numba.core  # only parts of numba are typed
 
 
 class MachineCodeCache(NullCache):
-    """What numba asks before it compiles, and tells afterwards.
+    """Cache that numba reads before it compiles and writes afterwards.
 
-    Kept is in the folder NUMBA_CACHE_DIR if that is set, else beside the Python files, else, where that cannot be
-    written, in the user's cache. Where nothing can be written it is compiled each time; what is there is read anyway,
-    so a read-only image may bring it along.
+    Folder: NUMBA_CACHE_DIR if set, else next to the Python files, else the user's cache. Where none can be written,
+    existing files are still read (a read-only image may contain them) and the rest is compiled by each process.
     """
 
     def __init__(self, dispatcher: Dispatcher[Any]) -> None:

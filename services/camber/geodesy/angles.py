@@ -44,8 +44,3 @@ def angle_difference(angle_rad: float, reference_rad: float) -> float:
 def heading_from_yaw(yaw_rad: float) -> float:
     """Heading clockwise from north in [0, 2π) of a yaw counter-clockwise from east."""
     return wrap_two_pi(0.5 * math.pi - yaw_rad)
-
-
-def yaw_from_heading(heading_rad: float) -> float:
-    """Yaw counter-clockwise from east in (−π, π] of a heading clockwise from north."""
-    return wrap_pi(0.5 * math.pi - heading_rad)

@@ -18,7 +18,7 @@ HorizontalCovariance = tuple[float, float, float]
 _ROUNDING = 1.0e-9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorEllipse:
     """An ellipse around a horizontal position.
 
@@ -68,7 +68,9 @@ def error_ellipse(covariance_m2: HorizontalCovariance, probability: float) -> Er
     scale = confidence_scale(probability)
     ee, en, nn = covariance_m2
     return ErrorEllipse(
-        math.sqrt(scale * larger), math.sqrt(scale * smaller), 0.5 * math.atan2(2.0 * en, ee - nn)
+        semi_major_m=math.sqrt(scale * larger),
+        semi_minor_m=math.sqrt(scale * smaller),
+        orientation_rad=0.5 * math.atan2(2.0 * en, ee - nn),
     )
 
 

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SEMI_MAJOR_AXIS_M = 6378137.0
-FLATTENING = 1.0 / 298.257223563
+SEMI_MAJOR_AXIS_M = 6378137.0  # NIMA TR8350.2
+FLATTENING = 1.0 / 298.257223563  # NIMA TR8350.2
 SEMI_MINOR_AXIS_M = SEMI_MAJOR_AXIS_M * (1.0 - FLATTENING)
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 
@@ -69,7 +69,16 @@ def geodetic_from_ecef_scalar(x_m: float, y_m: float, z_m: float) -> tuple[float
         raise ValueError(
             f"point is {radius_m} m from the centre of the earth, expected {MINIMUM_RADIUS_M} m or more"
         )
-    axis_distance_m = math.hypot(x_m, y_m)
+    latitude_rad, height_m = latitude_height(math.hypot(x_m, y_m), z_m)
+    longitude_rad = math.atan2(y_m, x_m)
+    return latitude_rad, longitude_rad if longitude_rad > -math.pi else math.pi, height_m
+
+
+def latitude_height(axis_distance_m: float, z_m: float) -> tuple[float, float]:
+    """Latitude [rad] and ellipsoidal height [m] of a point at a distance from the axis; may be compiled.
+
+    No check: only outside `MINIMUM_RADIUS_M` is the result right.
+    """
     # Sine and cosine of the parametric latitude β are carried, not β: no trigonometry, nothing special at
     # poles.
     s, c = z_m, axis_distance_m * _ONE_MINUS_F
@@ -86,12 +95,7 @@ def geodetic_from_ecef_scalar(x_m: float, y_m: float, z_m: float) -> tuple[float
         + z_m * sin_latitude
         - SEMI_MAJOR_AXIS_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin_latitude * sin_latitude)
     )
-    return math.atan2(sin_part, cos_part), _longitude(x_m, y_m), height_m
-
-
-def _longitude(x_m: float, y_m: float) -> float:
-    longitude_rad = math.atan2(y_m, x_m)
-    return longitude_rad if longitude_rad > -math.pi else math.pi
+    return math.atan2(sin_part, cos_part), height_m
 
 
 def ecef_from_geodetic(

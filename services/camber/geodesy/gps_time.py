@@ -4,7 +4,7 @@ GPS time has no leap seconds; UTC has fallen behind it by 18 s since 2017. Integ
 seconds since 1980 resolves only 0.2 µs, and differences of times decide what belongs to one epoch.
 
 Sources: IS-GPS-200, 3.3.4 (GPS time and week); IERS Bulletin C (leap seconds). No leap second is announced
-after 2017-01-01; a new one needs a new row in `_LEAP_SECOND_DATES`, and until then later UTC times are read
+after 2017-01-01; a new one needs a new row in `_LEAP_MONTHS`, and until then later UTC times are read
 with 18 s.
 """
 
@@ -12,7 +12,7 @@ from bisect import bisect_right
 from datetime import date
 from typing import NamedTuple
 
-NS_PER_SECOND = 1_000_000_000
+NS_PER_SECOND = 1_000_000_000  # by definition
 NS_PER_DAY = 86_400 * NS_PER_SECOND
 NS_PER_WEEK = 7 * NS_PER_DAY
 
@@ -21,28 +21,12 @@ UNIX_OF_GPS_EPOCH_NS = 315_964_800 * NS_PER_SECOND
 
 _GPS_EPOCH_ORDINAL = date(1980, 1, 6).toordinal()
 
-# The first UTC day on which GPS − UTC was one second more than the day before.
-_LEAP_SECOND_DATES = (
-    date(1981, 7, 1),
-    date(1982, 7, 1),
-    date(1983, 7, 1),
-    date(1985, 7, 1),
-    date(1988, 1, 1),
-    date(1990, 1, 1),
-    date(1991, 1, 1),
-    date(1992, 7, 1),
-    date(1993, 7, 1),
-    date(1994, 7, 1),
-    date(1996, 1, 1),
-    date(1997, 7, 1),
-    date(1999, 1, 1),
-    date(2006, 1, 1),
-    date(2009, 1, 1),
-    date(2012, 7, 1),
-    date(2015, 7, 1),
-    date(2017, 1, 1),
-)
-_LEAP_ORDINALS = tuple(day.toordinal() for day in _LEAP_SECOND_DATES)
+# The first UTC day on which GPS − UTC was one second more than the day before: months of IERS Bulletin C.
+_LEAP_MONTHS = (
+    (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7), (1994, 7),
+    (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
+)  # fmt: skip
+_LEAP_ORDINALS = tuple(date(year, month, 1).toordinal() for year, month in _LEAP_MONTHS)
 # GPS times at which each inserted second 23:59:60 begins: with i leap seconds before it, midnight UTC "would
 # have been" at days·86400 + i.
 _LEAP_STARTS_NS = tuple(
@@ -61,11 +45,6 @@ class CalendarTime(NamedTuple):
     minute: int
     second: int
     nanosecond: int = 0
-
-
-def seconds_between(earlier_ns: int, later_ns: int) -> float:
-    """`later − earlier` in seconds, negative if they are the other way round."""
-    return (later_ns - earlier_ns) / NS_PER_SECOND
 
 
 def gps_ns_from_week_tow(week: int, time_of_week_ns: int) -> int:
@@ -120,7 +99,7 @@ def gps_minus_utc_s(time_ns: int) -> int:
 
 
 def gps_ns_from_unix_ns(unix_ns: int) -> int:
-    """GPS time [ns] of a computer's UTC; a leap second, which it cannot tell, falls on the second after it.
+    """GPS time [ns] of a computer's UTC; a leap second, which it does not have, falls on the second after it.
 
     Raises ValueError before 1980-01-06.
     """
@@ -145,7 +124,9 @@ def calendar_from_text(text: str) -> CalendarTime:
         year, month, day = (_digits(part) for part in day_text.split("/"))
         hour, minute, seconds = time_text.split(":")
         second, nanosecond = divmod(nanoseconds_from_decimal(seconds), NS_PER_SECOND)
-        calendar = CalendarTime(year, month, day, _digits(hour), _digits(minute), second, nanosecond)
+        calendar = CalendarTime(
+            year, month, day, hour=_digits(hour), minute=_digits(minute), second=second, nanosecond=nanosecond
+        )
         _naive_ns(calendar)
     except ValueError as error:
         raise ValueError(f"time {text[:40]!r}, expected yyyy/mm/dd hh:mm:ss.sss") from error
@@ -196,7 +177,15 @@ def _calendar(naive_ns: int) -> CalendarTime:
     day = date.fromordinal(_GPS_EPOCH_ORDINAL + days)
     of_day_s, nanosecond = divmod(of_day_ns, NS_PER_SECOND)
     minutes, second = divmod(of_day_s, 60)
-    return CalendarTime(day.year, day.month, day.day, minutes // 60, minutes % 60, second, nanosecond)
+    return CalendarTime(
+        day.year,
+        day.month,
+        day.day,
+        hour=minutes // 60,
+        minute=minutes % 60,
+        second=second,
+        nanosecond=nanosecond,
+    )
 
 
 def _not_negative(time_ns: int) -> int:

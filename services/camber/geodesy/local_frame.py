@@ -2,7 +2,7 @@
 
 **Up is not height.** The frame is a plane that touches the ellipsoid at the origin, and the earth curves away
 below it: a point 4 km off at the same ellipsoidal height lies 1.25 m *below* the plane (d² / 2R), at 20 km 31
-m. Whoever compares heights compares ellipsoidal heights. The filters of the vehicle therefore work with
+m. Compare ellipsoidal heights only. The filters of the vehicle therefore work with
 (east, north) of this frame and carry the *ellipsoidal height* beside it, by `east_north_from_geodetic` and
 its exact inverse.
 """

@@ -132,7 +132,7 @@ def test_it_changes_with_types_and_with_the_names_of_their_fields() -> None:
         "__import__('camber.geodesy.angles').geodesy.angles",
     ],
 )
-def test_what_it_cannot_judge_is_said(reached: str) -> None:
+def test_what_it_cannot_judge_is_named(reached: str) -> None:
     with pytest.raises(NotKnown, match="it reaches"):
         digest(KERNEL.replace("LIMIT = 3.0", f"LIMIT = {reached}"))
 
@@ -154,14 +154,14 @@ def test_functions_as_arguments_are_not_known() -> None:
 
 
 def modules() -> Iterator[ModuleType]:
-    for found in pkgutil.walk_packages(camber.__path__, "camber."):
-        if not found.name.endswith("__main__"):
-            yield importlib.import_module(found.name)
+    for module_value in pkgutil.walk_packages(camber.__path__, "camber."):
+        if not module_value.name.endswith("__main__"):
+            yield importlib.import_module(module_value.name)
 
 
 def test_all_of_every_compiled_function_of_camber_is_known() -> None:
-    found = {id(value): value for module in modules() for value in vars(module).values()}
-    kernels = [value for value in found.values() if isinstance(value, Dispatcher)]
+    module_value = {id(value): value for module in modules() for value in vars(module).values()}
+    kernels = [value for value in module_value.values() if isinstance(value, Dispatcher)]
     assert len(kernels) > 100
     digests = sorted(inputs_digest(kernel) for kernel in kernels)
     assert all(one != next_one for one, next_one in pairwise(digests))

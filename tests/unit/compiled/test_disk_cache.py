@@ -28,7 +28,7 @@ RUN = """
 from kernel_of_test import kernel
 print(kernel(10.0), sum(kernel.stats.cache_misses.values()), sum(kernel.stats.cache_hits.values()))
 """
-MADE, FOUND = (1, 0), (0, 1)
+MADE, CACHED = (1, 0), (0, 1)
 
 
 class Place:
@@ -72,7 +72,7 @@ def place(tmp_path: Path) -> Place:
 
 def test_a_callee_that_changes_in_another_file_of_the_same_time_and_size_is_noticed(place: Place) -> None:
     assert place.run() == (21.0, MADE)
-    assert place.run() == (21.0, FOUND)
+    assert place.run() == (21.0, CACHED)
     before = place.callee.stat()
     place.callee.write_text(CALLEE.replace("2.0", "3.0"))
     os.utime(place.callee, ns=(before.st_atime_ns, before.st_mtime_ns))
@@ -81,7 +81,7 @@ def test_a_callee_that_changes_in_another_file_of_the_same_time_and_size_is_noti
     # What is out of date is written over: nothing piles up.
     assert len(place.files()) == 1
     place.callee.write_text("# Words.\n" + CALLEE.replace("2.0", "3.0"))
-    assert place.run() == (31.0, FOUND)
+    assert place.run() == (31.0, CACHED)
 
 
 def test_what_is_damaged_is_compiled_anew(place: Place) -> None:
@@ -97,19 +97,17 @@ def test_what_is_damaged_is_compiled_anew(place: Place) -> None:
 def test_processes_that_compile_at_once_do_not_disturb_one_another(place: Place) -> None:
     processes = [place.start() for _ in range(2)]
     assert [place.ended(process)[0] for process in processes] == [21.0] * 2
-    assert place.run() == (21.0, FOUND)
+    assert place.run() == (21.0, CACHED)
     assert not list(place.cache.glob("*.tmp"))
 
 
-def test_where_python_files_cannot_be_written_beside_it_is_the_users_cache(
-    place: Place, tmp_path: Path
-) -> None:
+def test_without_a_writable_source_folder_the_users_cache_is_used(place: Place, tmp_path: Path) -> None:
     place.cache.write_text("no folder")
     assert place.run(XDG_CACHE_HOME=str(tmp_path / "user")) == (21.0, MADE)
-    assert place.run(XDG_CACHE_HOME=str(tmp_path / "user")) == (21.0, FOUND)
+    assert place.run(XDG_CACHE_HOME=str(tmp_path / "user")) == (21.0, CACHED)
 
 
-def test_where_nothing_can_be_written_it_is_compiled_each_time_without_a_word(place: Place) -> None:
+def test_where_nothing_can_be_written_it_is_compiled_each_time_without_a_warning(place: Place) -> None:
     place.cache.write_text("no folder")
     assert place.run() == (21.0, MADE)
     assert place.run(NUMBA_CACHE_DIR="/dev/null/cache") == (21.0, MADE)
@@ -118,7 +116,7 @@ def test_where_nothing_can_be_written_it_is_compiled_each_time_without_a_word(pl
 def test_the_folder_that_is_named_is_the_one(place: Place, tmp_path: Path) -> None:
     place.run()
     assert place.run(NUMBA_CACHE_DIR=str(tmp_path / "named")) == (21.0, MADE)
-    assert place.run(NUMBA_CACHE_DIR=str(tmp_path / "named")) == (21.0, FOUND)
+    assert place.run(NUMBA_CACHE_DIR=str(tmp_path / "named")) == (21.0, CACHED)
 
 
 def test_without_a_compiler_it_is_the_function_itself(place: Place) -> None:
@@ -126,7 +124,7 @@ def test_without_a_compiler_it_is_the_function_itself(place: Place) -> None:
     assert "'function' object has no attribute 'stats'" in process.communicate(timeout=300)[1]
 
 
-def test_what_cannot_be_kept_is_compiled_and_said() -> None:
+def test_what_cannot_be_cached_is_compiled_with_a_warning() -> None:
     @compiled
     def twice(x: float) -> float:
         return 2.0 * x

@@ -76,7 +76,7 @@ def test_radius_grows_with_probability_and_covers_each_axis(
     assert radius_m(cov, p) >= math.sqrt(confidence_scale(p)) * max(sigma_e, sigma_n) * (1.0 - 1e-12)
 
 
-def test_a_small_axis_is_not_lost_beside_a_large_one() -> None:
+def test_a_small_axis_is_not_lost_next_to_a_large_one() -> None:
     minor_m = error_ellipse((33.0**2, 0.0, 0.0001**2), 0.99).semi_minor_m
     assert minor_m == pytest.approx(0.0001 * math.sqrt(-2.0 * math.log(0.01)), rel=1e-9)
 

@@ -40,7 +40,7 @@ def test_rtklib_t_coord_values() -> None:
     assert distance_m(there_and_back, (-3517319.7701, 4131667.9161, 3341265.1227)) < ROUNDING_M
 
 
-def test_reference_of_nagoya_agrees_with_its_own_ecef() -> None:
+def test_reference_of_nagoya_agrees_with_its_ecef() -> None:
     # first row of a recorded reference: both forms, printed to 1e-8 degrees and 1 mm
     x, y, z = ecef_from_geodetic_scalar(math.radians(35.16536109), math.radians(136.88140866), 41.391)
     assert distance_m((x, y, z), (-3810228.582, 3567868.547, 3652903.300)) < 2.0e-3
@@ -82,7 +82,7 @@ def test_next_to_the_pole(distance: float, longitude: float) -> None:
 
 
 @pytest.mark.parametrize("y", [0.0, -0.0])
-def test_antimeridian_is_plus_pi_on_either_side_of_zero(y: float) -> None:
+def test_antimeridian_is_plus_pi_on_both_sides_of_zero(y: float) -> None:
     assert geodetic_from_ecef_scalar(-6378137.0, y, 0.0) == (0.0, math.pi, 0.0)
     _, longitude, _ = geodetic_from_ecef(np.array([[-6378137.0, y, 0.0]]))
     assert longitude[0] == math.pi

@@ -31,14 +31,14 @@ def test_it_departs_from_the_tangent_plane_by_no_more_than_the_meridians_turn(la
 
 
 @given(latitude, longitude, angle, angle)
-def test_the_way_back_is_the_opposite(latitude_rad, longitude_rad, north_rad, east_rad):
+def test_the_reverse_offset_is_the_opposite(latitude_rad, longitude_rad, north_rad, east_rad):
     to = latitude_rad + north_rad, wrap_pi(longitude_rad + east_rad)
     there = east_north_between(latitude_rad, longitude_rad, *to)
     back = east_north_between(*to, latitude_rad, longitude_rad)
     assert back == pytest.approx((-there[0], -there[1]), abs=1e-5)
 
 
-def test_across_the_antimeridian_the_short_way_counts():
+def test_across_the_antimeridian_the_smaller_angle_counts():
     east_m, north_m = east_north_between(0.0, math.pi - 1e-6, 0.0, -math.pi + 1e-6)
     assert east_m == pytest.approx(2e-6 * 6378137.0, rel=1e-6)
     assert north_m == 0.0

@@ -71,7 +71,7 @@ def make(**settings: Any) -> tuple[GnssService, FakeBus]:
     return GnssService(GnssSettings(**settings), cast(Bus, bus)), bus
 
 
-def hear(service: GnssService, data: bytes, protocol: Any = "pos") -> None:
+def receive(service: GnssService, data: bytes, protocol: Any = "pos") -> None:
     payload = np.frombuffer(data, np.uint8)
     service.handlers()["receiver_bytes"](ReceiverBytes(time_ns=START_NS, protocol=protocol, payload=payload))
 
@@ -107,7 +107,7 @@ def nmea(*tenths: int, date_sentence: bool = True, **changed: Any) -> bytes:
 
 def test_a_pos_stream_becomes_fixes() -> None:
     service, bus = make(datum="JGD2011")
-    hear(service, pos(0, 1, 2))
+    receive(service, pos(0, 1, 2))
     assert bus.epochs() == [0, 1, 2]
     assert bus.issues == []
     fix = bus.fixes[1]
@@ -124,7 +124,7 @@ def test_a_pos_stream_becomes_fixes() -> None:
 
 def test_an_nmea_stream_becomes_fixes_above_the_ellipsoid() -> None:
     service, bus = make()
-    hear(service, nmea(*range(10)), "nmea")
+    receive(service, nmea(*range(10)), "nmea")
     assert bus.epochs() == list(range(10))
     assert bus.issues == []
     assert [fix.height_m for fix in bus.fixes] == pytest.approx([40.0 + n / 100 for n in range(10)], abs=1e-3)
@@ -133,11 +133,11 @@ def test_an_nmea_stream_becomes_fixes_above_the_ellipsoid() -> None:
 
 def test_an_nmea_stream_without_a_date_needs_one_in_the_settings() -> None:
     service, bus = make()
-    hear(service, nmea(0, 1, 2, date_sentence=False), "nmea")
+    receive(service, nmea(0, 1, 2, date_sentence=False), "nmea")
     assert bus.fixes == []
     assert set(bus.codes()) == {"unreadable_input"}
     service, bus = make(nmea_date=date(2023, 7, 11))
-    hear(service, nmea(0, 1, 2, 3, date_sentence=False), "nmea")
+    receive(service, nmea(0, 1, 2, 3, date_sentence=False), "nmea")
     assert bus.epochs()[:3] == [0, 1, 2]
 
 
@@ -145,12 +145,12 @@ def test_an_nmea_stream_without_a_date_needs_one_in_the_settings() -> None:
 def test_how_the_bytes_were_cut_makes_no_difference(protocol: str) -> None:
     data = pos(*range(20)) if protocol == "pos" else nmea(*range(20))
     whole, expected = make()
-    hear(whole, data, protocol)
+    receive(whole, data, protocol)
     random = Random(3)
     service, bus = make()
     while data:
         size = random.randint(1, 90)
-        hear(service, data[:size], protocol)
+        receive(service, data[:size], protocol)
         data = data[size:]
     assert bus.fixes == expected.fixes
     assert len(bus.fixes) == 20
@@ -164,14 +164,14 @@ def test_garbage_costs_itself_only(protocol: str) -> None:
     for _ in range(20):
         garbage = bytes(random.randrange(256) for _ in range(random.randint(0, 3000)))
         service, bus = make()
-        hear(service, begin + b"\n" + garbage + b"\r\n" + end, protocol)
+        receive(service, begin + b"\n" + garbage + b"\r\n" + end, protocol)
         assert bus.epochs() == [0, 1, 2, 3]
         assert set(bus.codes()) <= {"unreadable_input", "damaged_input"}
 
 
 def test_a_line_that_cannot_be_read_is_named() -> None:
     service, bus = make()
-    hear(service, pos(0) + b"2023/07/11 06:04:31.000 far away\n")
+    receive(service, pos(0) + b"2023/07/11 06:04:31.000 far away\n")
     ((code, text),) = bus.issues
     assert code == "unreadable_input"
     assert text.startswith("rover:4: columns is ")
@@ -179,7 +179,7 @@ def test_a_line_that_cannot_be_read_is_named() -> None:
 
 def test_every_epoch_passes_once_and_in_order() -> None:
     service, bus = make()
-    hear(service, pos(5, 5, 3, 6))
+    receive(service, pos(5, 5, 3, 6))
     assert bus.epochs() == [5, 6]
     assert bus.codes() == {"repeated_epoch": 1, "out_of_order_epoch": 1}
 
@@ -188,9 +188,9 @@ def test_every_epoch_passes_once_and_in_order() -> None:
 def test_a_fix_of_another_century_stops_nothing(year: int, code: str) -> None:
     service, bus = make()
     century = gps_ns_from_utc(CalendarTime(year, 1, 1, 0, 0, 0))
-    hear(service, pos(0))
-    hear(service, pos(0, header=False, time_ns=century))
-    hear(service, pos(1, header=False))
+    receive(service, pos(0))
+    receive(service, pos(0, header=False, time_ns=century))
+    receive(service, pos(1, header=False))
     assert bus.epochs() == [0, 1]
     assert bus.codes() == {code: 1}
 
@@ -198,7 +198,7 @@ def test_a_fix_of_another_century_stops_nothing(year: int, code: str) -> None:
 def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:
     service, bus = make()
     bus.time_ns = START_NS
-    hear(service, pos(5, 6))
+    receive(service, pos(5, 6))
     assert bus.epochs() == [5]
     assert bus.codes() == {"epoch_from_the_future": 1}
 
@@ -206,14 +206,16 @@ def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:
 def test_a_receiver_that_began_in_the_past_is_followed_once_it_knows_the_time() -> None:
     service, bus = make()
     rolled_over = START_NS - 1024 * 7 * 86_400 * NS
-    hear(service, pos(0, time_ns=rolled_over) + pos(0, 1, header=False))
+    receive(service, pos(0, time_ns=rolled_over) + pos(0, 1, header=False))
     assert bus.epochs()[1:] == [0, 1]
     assert bus.issues == []
 
 
 def test_an_epoch_before_any_plausible_time_is_refused_and_the_next_one_passes() -> None:
     service, bus = make()
-    hear(service, pos(0, time_ns=gps_ns_from_utc(CalendarTime(1999, 8, 22, 0, 0, 0))) + pos(0, header=False))
+    receive(
+        service, pos(0, time_ns=gps_ns_from_utc(CalendarTime(1999, 8, 22, 0, 0, 0))) + pos(0, header=False)
+    )
     assert bus.epochs() == [0]
     assert bus.codes() == {"implausible_epoch": 1}
     assert bus.issues[0][1].startswith("time_ns: ")
@@ -221,18 +223,18 @@ def test_an_epoch_before_any_plausible_time_is_refused_and_the_next_one_passes()
 
 def test_after_a_restart_an_epoch_has_the_same_id() -> None:
     first, before = make()
-    hear(first, pos(0, 1))
+    receive(first, pos(0, 1))
     second, after = make()
-    hear(second, pos(1, 2))
+    receive(second, pos(1, 2))
     assert before.fixes[1] == after.fixes[0]
 
 
 @pytest.mark.parametrize("quality", SolutionQuality)
-def test_quality_words_come_through_the_pos_format(quality: SolutionQuality) -> None:
+def test_qualities_come_through_the_pos_format(quality: SolutionQuality) -> None:
     service, bus = make()
-    hear(service, pos(0, quality=quality))
-    words = {1: "fixed", 2: "float", 3: "sbas", 4: "dgps", 5: "single", 6: "ppp", 7: "estimated"}
-    assert bus.fixes[0].quality == words[int(quality)]
+    receive(service, pos(0, quality=quality))
+    names = {1: "fixed", 2: "float", 3: "sbas", 4: "dgps", 5: "single", 6: "ppp", 7: "estimated"}
+    assert bus.fixes[0].quality == names[int(quality)]
 
 
 @pytest.mark.parametrize(
@@ -249,11 +251,11 @@ def test_a_stream_that_is_not_used_is_named_once_and_counted(stream: Any, protoc
     assert code == "stream_not_used"
     assert text.startswith(f"{stream}.{protocol}: expected the receiver's positions")
     assert bus.counters == {f"not_used.{stream}.{protocol}": 3}
-    hear(service, pos(0))
+    receive(service, pos(0))
     assert len(bus.fixes) == 1
 
 
-def test_a_receivers_own_solution_has_no_other_estimates() -> None:
+def test_a_receivers_solution_has_no_other_candidates() -> None:
     service, _ = make()
     requests = [EstimatesRequest(time_ns=START_NS, fix_id=n) for n in (7, 8)]
     replies: Sequence[Any] = service.answers()["estimates"](requests)
@@ -268,7 +270,7 @@ def test_it_is_healthy_while_epochs_come() -> None:
     service, bus = make()
     assert not service.healthy()
     bus.time_ns = START_NS
-    hear(service, pos(0))
+    receive(service, pos(0))
     assert service.healthy()
     bus.time_ns = START_NS + 5 * NS
     assert not service.healthy()
@@ -282,7 +284,7 @@ def until(service: GnssService, bus: FakeBus, epochs: list[int]) -> None:
         service.advance(bus.now_ns())
 
 
-def test_a_file_of_its_own_is_read_while_it_grows_and_the_bus_is_not(tmp_path: Path) -> None:
+def test_a_file_is_read_while_it_grows_and_the_bus_is_not(tmp_path: Path) -> None:
     path = tmp_path / "rover.pos"
     path.write_bytes(pos(0, 1))
     service, bus = make(source=f"file:{path}", protocol="pos")
@@ -297,7 +299,7 @@ def test_a_file_of_its_own_is_read_while_it_grows_and_the_bus_is_not(tmp_path: P
         service.close()
 
 
-def test_a_serial_port_of_its_own_is_read() -> None:
+def test_a_serial_port_is_read() -> None:
     ours, theirs = pty.openpty()
     tty.setraw(ours)
     tty.setraw(theirs)

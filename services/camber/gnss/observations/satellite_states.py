@@ -16,7 +16,7 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
-from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS_M, SEMI_MINOR_AXIS_M
+from camber.geodesy.ellipsoid import MINIMUM_RADIUS_M, latitude_height
 
 EARTH_ROTATION_RAD_S = 7.2921151467e-5
 """IS-GPS-200N, for the frame of ranges; orbits use their system's rate, a column of the table."""
@@ -32,9 +32,7 @@ ELEMENTS = 24  # columns, as above
 _KEPLER_STEPS = 10  # Newton's method squares the error: three suffice for e < 0.1; the store refuses e ≥ 0.5
 _KEPLER_RAD = 1.0e-14  # derived: 0.3 µm of orbit
 _SIN_TILT, _COS_TILT = math.sin(math.radians(-5.0)), math.cos(math.radians(-5.0))
-_MINIMUM_RADIUS_M = 6.0e6  # as in `camber.geodesy.ellipsoid`
-_POLAR_TERM_M = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED) * SEMI_MINOR_AXIS_M
-_EQUATORIAL_TERM_M = ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M
+_latitude_height = compiled(latitude_height)
 
 
 class EphemerisTable(NamedTuple):
@@ -195,27 +193,11 @@ def geodetic(ecef_m: Floats) -> tuple[float, float, float]:
 
     Three NaN within 6000 km of the earth's centre and where a number is not finite: no receiver is there.
     """
-    x, y, z = ecef_m[0], ecef_m[1], ecef_m[2]
-    axis = math.hypot(x, y)
-    radius = math.hypot(axis, z)
-    if not _MINIMUM_RADIUS_M <= radius < np.inf:
+    axis = math.hypot(ecef_m[0], ecef_m[1])
+    if not MINIMUM_RADIUS_M <= math.hypot(axis, ecef_m[2]) < np.inf:
         return np.nan, np.nan, np.nan
-    s, c = z, axis * (1.0 - FLATTENING)
-    sin_part, cos_part = s, c
-    for _ in range(3):
-        norm = math.hypot(s, c)
-        sin_beta, cos_beta = s / norm, c / norm
-        sin_part = z + _POLAR_TERM_M * sin_beta * sin_beta * sin_beta
-        cos_part = axis - _EQUATORIAL_TERM_M * cos_beta * cos_beta * cos_beta
-        s, c = (1.0 - FLATTENING) * sin_part, cos_part
-    norm = math.hypot(sin_part, cos_part)
-    sin_latitude, cos_latitude = sin_part / norm, cos_part / norm
-    height = (
-        axis * cos_latitude
-        + z * sin_latitude
-        - SEMI_MAJOR_AXIS_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin_latitude * sin_latitude)
-    )
-    return math.atan2(sin_part, cos_part), math.atan2(y, x), height
+    latitude, height = _latitude_height(axis, ecef_m[2])
+    return latitude, math.atan2(ecef_m[1], ecef_m[0]), height
 
 
 @compiled

@@ -77,7 +77,7 @@ _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above an
 
 # Chosen: mask, false-alarm rate of the test and standard deviations of the error model above.
 _LOWEST_ELEVATION_RAD = math.radians(10.0)
-_FALSE_ALARM = 1.0e-4
+_FALSE_ALARM = 1.0e-4  # chosen: one epoch in 10,000
 _NOISE_M, _BACKGROUND_M, _TROPOSPHERE_M, _SATELLITE_M = 0.3, 0.3, 0.1, 0.8
 _IONOSPHERE_SHARE, _LEAST_IONOSPHERE_M = 0.5, 0.5
 """Error of the model's vertical delay, a share of it (IS-GPS-200N: half of it at most, r.m.s.), and its least."""

@@ -55,7 +55,7 @@ _NO_POSITION = 4  # a status after those of `robust_least_squares`
 _GREATEST_DOPPLER_HZ = 1.0e5  # derived: satellites 5 kHz, a receiver's clock at 50 ppm 80 kHz
 # Chosen: mask, false-alarm rate of the test and standard deviations of the error model above.
 _LOWEST_SINE = math.sin(math.radians(10.0))
-_FALSE_ALARM = 1.0e-4
+_FALSE_ALARM = 1.0e-4  # chosen: one epoch in 10,000
 _NOISE_M_S, _BACKGROUND_M_S = 0.03, 0.01
 
 

@@ -119,7 +119,7 @@ class HeadingFilter:
         across = max(c * c * ee - 2.0 * s * c * en + s * s * nn, o.least_velocity_sigma_m_s**2)
         if not math.sqrt(across) < o.greatest_heading_sigma_rad * speed:
             return "imprecise"
-        return self._update_heading(time_ns, heading, across / speed**2)
+        return self._update_heading(time_ns, heading, across / (speed * speed))
 
     def at(self, time_ns: int) -> HeadingEstimate | None:
         """The heading at a time not before the last input; None where it is not known."""

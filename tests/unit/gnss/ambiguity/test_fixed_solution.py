@@ -78,33 +78,33 @@ def test_ambiguities_and_their_covariances_are_those_of_one_least_squares(seed):
     used = np.ones(rows.group.size, np.bool_)
     first = float_position(rows, used, NO_PRIOR, np.inf)
     assert first.chi2 < first.freedom
-    found = ambiguities(rows, used, first.dx_m, first.covariance_m2)
+    fix = ambiguities(rows, used, first.dx_m, first.covariance_m2)
     state, covariance, pairs = slow_estimate(rows, used)
     # The references differ: the slow way's differences are turned into ours.
     order = {pair: k for k, pair in enumerate(pairs)}
-    turn = np.zeros((found.value.size, len(pairs)))
-    for a, (i, j) in enumerate(zip(found.row.tolist(), found.reference.tolist(), strict=True)):
+    turn = np.zeros((fix.value.size, len(pairs)))
+    for a, (i, j) in enumerate(zip(fix.row.tolist(), fix.reference.tolist(), strict=True)):
         for row, sign in ((i, 1.0), (j, -1.0)):
             for (member, _), k in order.items():
                 if member == row:
                     turn[a, k] += sign
-    np.testing.assert_allclose(found.value, turn @ state[3:], atol=1e-5)
-    np.testing.assert_allclose(found.covariance, turn @ covariance[3:, 3:] @ turn.T, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(found.position_covariance_m, covariance[:3, 3:] @ turn.T, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(fix.value, turn @ state[3:], atol=1e-5)
+    np.testing.assert_allclose(fix.covariance, turn @ covariance[3:, 3:] @ turn.T, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(fix.position_covariance_m, covariance[:3, 3:] @ turn.T, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_fix_is_the_least_squares_with_known_integers(seed):
     made = calm(seed, satellites=7)
-    found = estimated(made.rows)
-    assert (found.status, found.fixed) == (RESOLVED, found.ambiguities)
+    fix = estimated(made.rows)
+    assert (fix.status, fix.fixed) == (RESOLVED, fix.ambiguities)
     used = np.ones(made.rows.group.size, np.bool_)
     dx, covariance = slow_fixed(made.rows, used, made.integer)
-    np.testing.assert_allclose(found.dx_m, dx, atol=1e-6)
-    np.testing.assert_allclose(found.covariance_m2, covariance, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(fix.dx_m, dx, atol=1e-6)
+    np.testing.assert_allclose(fix.covariance_m2, covariance, rtol=1e-4, atol=1e-12)
     for g in np.unique(made.rows.group):
         of_group = made.rows.group == g
-        assert len(np.unique(found.integer[of_group] - made.integer[of_group])) == 1
+        assert len(np.unique(fix.integer[of_group] - made.integer[of_group])) == 1
 
 
 def test_the_ratio_is_that_of_an_exhaustive_search():
@@ -130,10 +130,10 @@ def test_fixes_are_as_far_off_as_their_covariance_says():
     nees = []
     for seed in range(200):
         made = made_up_rows(np.random.default_rng(seed), satellites=7)
-        found = estimated(made.rows)
-        if found.status == RESOLVED and found.fixed == found.ambiguities:
-            error = found.dx_m - made.dx_m
-            nees.append(error @ np.linalg.solve(found.covariance_m2, error))
+        fix = estimated(made.rows)
+        if fix.status == RESOLVED and fix.fixed == fix.ambiguities:
+            error = fix.dx_m - made.dx_m
+            nees.append(error @ np.linalg.solve(fix.covariance_m2, error))
     assert len(nees) > 180
     assert 2.4 < np.mean(nees) < 3.6
 
@@ -183,8 +183,8 @@ def test_half_a_cycle_in_one_phase_is_no_fix_of_all():
         assert estimated(made.rows, limits=whole).status == RESOLVED
         phase = made.rows.phase_m.copy()
         phase[4] += 0.5 * made.rows.wavelength_m[4]
-        found = estimated(made.rows._replace(phase_m=phase), limits=whole)
-        assert found.status in (RATIO_TOO_LOW, CONTRADICTORY, UNLIKELY)
+        fix = estimated(made.rows._replace(phase_m=phase), limits=whole)
+        assert fix.status in (RATIO_TOO_LOW, CONTRADICTORY, UNLIKELY)
 
 
 def test_a_wrong_phase_of_decimetres_never_makes_a_fix_of_decimetres():
@@ -193,17 +193,17 @@ def test_a_wrong_phase_of_decimetres_never_makes_a_fix_of_decimetres():
         rng = np.random.default_rng(seed + 70)
         phase = made.rows.phase_m.copy()
         phase[rng.choice(phase.size, 3, replace=False)] += rng.uniform(-0.1, 0.1, 3)
-        found = estimated(made.rows._replace(phase_m=phase))
-        if found.status == RESOLVED:
-            assert np.linalg.norm(found.dx_m - made.dx_m) < 0.1
+        fix = estimated(made.rows._replace(phase_m=phase))
+        if fix.status == RESOLVED:
+            assert np.linalg.norm(fix.dx_m - made.dx_m) < 0.1
 
 
 def test_without_phases_there_is_a_float_position_and_no_fix():
     made = calm(1)
-    found = estimated(made.rows._replace(phase_m=np.full(made.rows.group.size, np.nan)))
-    assert (found.status, found.ambiguities) == (UNLIKELY, 0)
-    assert np.linalg.norm(found.float_dx_m - made.dx_m) < 2.0
-    assert np.isnan(found.integer).all()
+    fix = estimated(made.rows._replace(phase_m=np.full(made.rows.group.size, np.nan)))
+    assert (fix.status, fix.ambiguities) == (UNLIKELY, 0)
+    assert np.linalg.norm(fix.float_dx_m - made.dx_m) < 2.0
+    assert np.isnan(fix.integer).all()
 
 
 def test_a_phase_without_its_group_resolves_nothing():
@@ -237,14 +237,14 @@ def test_a_code_that_misplaces_its_satellite_takes_the_phases_of_all_its_bands_a
     satellite = made.rows.satellite[5]
     code[5] += 3.0e5
     phase[made.rows.satellite == satellite] += 0.11  # as the satellite's place is wrong
-    found = estimated(made.rows._replace(code_m=code, phase_m=phase))
-    assert found.status == RESOLVED
-    assert found.ambiguities == made.rows.group.size - 4 - 2
-    assert np.isnan(found.integer[made.rows.satellite == satellite]).all()
-    np.testing.assert_allclose(found.dx_m, made.dx_m, atol=0.03)
+    fix = estimated(made.rows._replace(code_m=code, phase_m=phase))
+    assert fix.status == RESOLVED
+    assert fix.ambiguities == made.rows.group.size - 4 - 2
+    assert np.isnan(fix.integer[made.rows.satellite == satellite]).all()
+    np.testing.assert_allclose(fix.dx_m, made.dx_m, atol=0.03)
 
 
-def test_a_fixed_failure_rate_asks_for_a_ratio_of_its_own():
+def test_a_fixed_failure_rate_sets_the_ratio_threshold():
     rows = calm(7).rows
     whole = LIMITS._replace(least_ratio=1e9, partial=False)
     assert estimated(rows, limits=whole).status == RATIO_TOO_LOW
@@ -275,8 +275,8 @@ def test_residuals_are_those_of_double_differences():
     metres = made.rows.phase_m - made.integer * made.rows.wavelength_m
     as_code = made.rows._replace(code_m=metres, code_variance_m2=made.rows.phase_variance_m2)
     _, _, chi2, freedom = slow_float(as_code, np.ones(metres.size, np.bool_))
-    found = phase_residuals(made.rows, made.integer.astype(np.float64))
-    assert found == (pytest.approx(chi2, rel=1e-3), freedom)
+    fix = phase_residuals(made.rows, made.integer.astype(np.float64))
+    assert fix == (pytest.approx(chi2, rel=1e-3), freedom)
 
 
 def test_too_few_phases_cannot_be_tested():

@@ -96,8 +96,8 @@ def two_best(floats: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     definite, (upper, variances, transform) = decorrelated(covariance)
     assert definite
     whole = np.rint(floats)
-    found, vectors, norms, _ = nearest_integers(upper, variances, transform @ (floats - whole), 2, 1_000_000)
-    assert found == 2
+    result, vectors, norms, _ = nearest_integers(upper, variances, transform @ (floats - whole), 2, 1_000_000)
+    assert result == 2
     return np.rint(np.linalg.solve(transform, vectors.T)).T + whole, norms
 
 
@@ -171,7 +171,7 @@ def test_resolving_gives_the_published_integers_and_their_ratio() -> None:
         assert resolution.ratio == pytest.approx(ratio, rel=1e-6)
 
 
-def test_a_thousand_random_cases_have_nothing_nearer_than_the_two_found() -> None:
+def test_a_thousand_random_cases_have_nothing_nearer_than_the_two_returned() -> None:
     random = np.random.default_rng(SEED)
     for case in range(1000):
         count = 1 + case % 6
@@ -205,17 +205,17 @@ def test_small_cases_agree_with_a_search_of_the_whole_box() -> None:
         np.testing.assert_allclose(all_norms[order], norms, rtol=1e-8)
 
 
-def test_more_than_two_are_found_in_order() -> None:
+def test_more_than_two_are_returned_in_order() -> None:
     random = np.random.default_rng(SEED + 2)
     for count in (1, 2, 4):
         covariance = random_covariance(random, count)
         _, (upper, variances, transform) = decorrelated(covariance)
         floats = transform @ random.uniform(-0.5, 0.5, count)
-        found, vectors, norms, _ = nearest_integers(upper, variances, floats, 7, 100_000)
+        result, vectors, norms, _ = nearest_integers(upper, variances, floats, 7, 100_000)
         every, all_norms = integers_within(
             floats, transform @ covariance @ transform.T, norms[-1] * (1.0 + 1e-9)
         )
-        assert found == len(every) == 7
+        assert result == len(every) == 7
         np.testing.assert_allclose(all_norms, norms, rtol=1e-7)
         np.testing.assert_array_equal(every, vectors)
 
@@ -296,9 +296,7 @@ def test_what_is_no_distribution_is_refused(floats: list[float], covariance: lis
 
 @given(st.integers(0, 2**32), st.integers(1, 9), st.booleans())
 @settings(derandomize=True, max_examples=300, deadline=None)
-def test_of_any_numbers_the_answer_is_either_integers_or_nothing(
-    seed: int, count: int, partial: bool
-) -> None:
+def test_of_any_numbers_the_answer_is_integers_or_nothing(seed: int, count: int, partial: bool) -> None:
     random = np.random.default_rng(seed)
     root = random.standard_normal((count, int(random.integers(1, count + 2))))
     root *= 10.0 ** random.uniform(-9.0, 9.0, (count, 1))

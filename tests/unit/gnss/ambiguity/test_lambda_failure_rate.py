@@ -57,8 +57,8 @@ def test_wrong_integers_are_taken_no_more_often_than_the_failure_rate(
     samples = 20_000
     wrong = right = 0
     for row in drawn(random, transform @ covariance @ transform.T, samples):
-        found, vectors, norms, _ = nearest_integers(upper, variances, row, 2, 100_000)
-        assert found == 2
+        result, vectors, norms, _ = nearest_integers(upper, variances, row, 2, 100_000)
+        assert result == 2
         if norms[1] > needed * norms[0]:
             wrong += bool(vectors[0].any())
             right += not vectors[0].any()

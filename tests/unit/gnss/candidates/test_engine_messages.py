@@ -84,10 +84,10 @@ def test_the_made_up_epoch_is_fixed() -> None:
     assert SOLVED.quality == "fixed"
 
 
-def test_every_field_of_a_fixed_epoch_is_told() -> None:
+def test_every_field_of_a_fixed_epoch_is_published() -> None:
     fix = fix_from_solution(solution(), "JGD2011", "rtcm-7")
     assert fix is not None
-    found = estimate()
+    message = estimate()
     assert (fix.time_ns, fix.fix_id, fix.origin, fix.quality) == (
         SOLVED.time_ns,
         SOLVED.time_ns // 1_000_000,
@@ -98,21 +98,21 @@ def test_every_field_of_a_fixed_epoch_is_told() -> None:
     assert fix.longitude_rad == pytest.approx(LONGITUDE, abs=1e-12)
     assert fix.height_m == pytest.approx(HEIGHT_M, abs=1e-6)
     assert (fix.datum, fix.base_station, fix.satellites, fix.ratio) == ("JGD2011", "rtcm-7", 11, 7.5)
-    assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, found.fixed)
-    assert fix.success_rate == found.success_rate
+    assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, message.fixed)
+    assert fix.success_rate == message.success_rate
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("continuous", TIME_NS - NS)
     assert (fix.phase_residuals, fix.subset_agreement) == ("consistent", "unknown")
     assert fix.covariance_enu_m2 is not None
 
 
-@pytest.mark.parametrize("said", ["agree", "disagree", "unknown"])
-def test_what_its_subsets_say_is_told_with_the_fix(said: Any) -> None:
-    fix = fix_from_solution(solution(), "WGS84", None, said)
+@pytest.mark.parametrize("agreement", ["agree", "disagree", "unknown"])
+def test_the_agreement_of_its_subsets_is_published_with_the_fix(agreement: Any) -> None:
+    fix = fix_from_solution(solution(), "WGS84", None, agreement)
     assert fix is not None
-    assert fix.subset_agreement == said
+    assert fix.subset_agreement == agreement
 
 
-def test_of_an_epoch_that_is_not_fixed_nothing_is_said_about_fixed_ambiguities() -> None:
+def test_an_epoch_that_is_not_fixed_has_no_fixed_ambiguities() -> None:
     fix = fix_from_solution(solution(quality="float", estimate=estimate(status=1)), "WGS84")
     assert fix is not None
     assert (fix.quality, fix.ambiguities_fixed, fix.success_rate, fix.phase_residuals) == (
@@ -169,7 +169,7 @@ def test_a_covariance_is_turned_as_the_axes_are() -> None:
         assert enu_covariance(PLACE, covariance) == pytest.approx(expected[np.triu_indices(3)], abs=1e-6)
 
 
-def test_velocity_and_heading_are_told_with_their_errors() -> None:
+def test_velocity_and_heading_are_published_with_their_errors() -> None:
     assert SOLVED.velocity is not None
     moving = replace(
         SOLVED.velocity,
@@ -180,13 +180,13 @@ def test_velocity_and_heading_are_told_with_their_errors() -> None:
     heading = HeadingEstimate(
         time_ns=TIME_NS, heading_rad=2.5, rate_rad_s=0.0, heading_sigma_rad=0.01, rate_sigma_rad_s=0.1
     )
-    told = velocity_from(moving, heading)
-    assert told is not None
-    assert told.time_ns == SOLVED.time_ns
-    assert told.velocity_enu_m_s == (1.0, -2.0, 0.25)
-    assert told.covariance_enu_m2_s2 == (4.0, 0.1, 0.2, 5.0, 0.3, 6.0)
-    assert (told.hdop, told.satellites) == (1.25, int(moving.used.sum()))
-    assert (told.heading_rad, told.heading_sigma_rad) == (2.5, 0.01)
+    published = velocity_from(moving, heading)
+    assert published is not None
+    assert published.time_ns == SOLVED.time_ns
+    assert published.velocity_enu_m_s == (1.0, -2.0, 0.25)
+    assert published.covariance_enu_m2_s2 == (4.0, 0.1, 0.2, 5.0, 0.3, 6.0)
+    assert (published.hdop, published.satellites) == (1.25, int(moving.used.sum()))
+    assert (published.heading_rad, published.heading_sigma_rad) == (2.5, 0.01)
     still = velocity_from(moving, None)
     assert still is not None
     assert (still.heading_rad, still.heading_sigma_rad) == (None, None)
@@ -215,20 +215,20 @@ def test_observations_say_by_a_bit_each_what_a_row_has() -> None:
         getattr(epoch, column)[row] = np.nan
     epoch.loss_of_lock[0], epoch.half_cycle[1] = True, True
     epoch.loss_of_lock[2] = epoch.half_cycle[2] = True
-    told = observations_from(epoch, "rover")
-    assert told.present.tolist() == [0b11110, 0b11101, 0b11011, 0b10111, 0b01111, 0b11111]
-    assert told.slip.tolist() == [1, 2, 3, 0, 0, 0]
-    assert (told.time_ns, told.station) == (TIME_NS, "rover")
-    assert told.satellite.tolist() == epoch.satellite.tolist()
-    assert told.signal.tolist() == epoch.signal.tolist()
+    published = observations_from(epoch, "rover")
+    assert published.present.tolist() == [0b11110, 0b11101, 0b11011, 0b10111, 0b01111, 0b11111]
+    assert published.slip.tolist() == [1, 2, 3, 0, 0, 0]
+    assert (published.time_ns, published.station) == (TIME_NS, "rover")
+    assert published.satellite.tolist() == epoch.satellite.tolist()
+    assert published.signal.tolist() == epoch.signal.tolist()
     for row, column in enumerate(columns[:4]):
         expected = getattr(epoch, column).tolist()
         expected[row] = 0.0  # and the bit says that it is none
-        assert getattr(told, column).tolist() == expected
-    assert told.lock_time_ns.tolist() == [500_000 + n * NS for n in range(4)] + [0, 5 * NS + 500_000]
+        assert getattr(published, column).tolist() == expected
+    assert published.lock_time_ns.tolist() == [500_000 + n * NS for n in range(4)] + [0, 5 * NS + 500_000]
 
 
-def test_an_epoch_without_rows_is_told_too() -> None:
+def test_an_epoch_without_rows_is_published_too() -> None:
     assert observations_from(observed(0), "rover").satellite.size == 0
 
 
@@ -273,7 +273,7 @@ def test_an_epoch_without_differences_says_why_there_are_no_estimates() -> None:
     assert (answer.status, answer.reason, answer.candidates) == ("unavailable", "base_too_old", ())
 
 
-def test_no_more_candidates_are_told_than_an_answer_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_candidates_are_published_than_an_answer_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     other = SubsetCandidate(
         position_ecef_m=PLACE,
         covariance_ecef_m2=np.eye(3),

@@ -1,4 +1,4 @@
-"""A receiver's solution becomes a fix word for word; epochs pass once, in order, and not from the future."""
+"""A receiver's solution becomes a fix unchanged; epochs pass once, in order, and not from the future."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_station_of_the_corrections_is_named_as_the_receiver_calls_it() -> N
 
 
 @pytest.mark.parametrize(
-    ("quality", "word"),
+    ("quality", "published"),
     [
         (SolutionQuality.FIX, "fixed"),
         (SolutionQuality.FLOAT, "float"),
@@ -67,15 +67,15 @@ def test_the_station_of_the_corrections_is_named_as_the_receiver_calls_it() -> N
         (SolutionQuality.DEAD_RECKONING, "estimated"),
     ],
 )
-def test_every_quality_has_its_word(quality: SolutionQuality, word: str) -> None:
-    assert word in typing.get_args(Quality)
-    assert fix_from(replace(SOLUTION, quality=quality), "WGS84").quality == word
+def test_every_quality_is_published(quality: SolutionQuality, published: str) -> None:
+    assert published in typing.get_args(Quality)
+    assert fix_from(replace(SOLUTION, quality=quality), "WGS84").quality == published
 
 
 @pytest.mark.parametrize("quality", SolutionQuality)
 def test_only_a_fix_is_called_fixed(quality: SolutionQuality) -> None:
-    word = fix_from(replace(SOLUTION, quality=quality), "WGS84").quality
-    assert (word == "fixed") is (quality is SolutionQuality.FIX)
+    published = fix_from(replace(SOLUTION, quality=quality), "WGS84").quality
+    assert (published == "fixed") is (quality is SolutionQuality.FIX)
 
 
 def test_epochs_of_one_receiver_have_different_ids_which_a_restart_does_not_change() -> None:

@@ -35,9 +35,9 @@ def names_of(rows: SingleDifferences) -> list[str]:
 
 def test_each_estimate_is_that_of_the_satellites_that_are_left():
     made = made_up()
-    _, found = tried(made.rows, "leave_one_out")
-    assert len(found) == 16
-    for other in found:
+    _, subsets = tried(made.rows, "leave_one_out")
+    assert len(subsets) == 16
+    for other in subsets:
         mask = np.array([satellite_name(s) not in other.excluded for s in made.rows.satellite.tolist()])
         alone = estimate(made.rows, mask, NO_PRIOR, LIMITS)
         np.testing.assert_array_equal(other.position_ecef_m, AT + alone.dx_m)
@@ -48,16 +48,16 @@ def test_each_estimate_is_that_of_the_satellites_that_are_left():
 
 def test_leave_one_out_leaves_each_out_once():
     rows = made_up().rows
-    trials, found = tried(rows, "leave_one_out")
+    trials, subsets = tried(rows, "leave_one_out")
     assert trials == 16
-    assert sorted(other.excluded for other in found) == [(name,) for name in sorted(names_of(rows))]
+    assert sorted(other.excluded for other in subsets) == [(name,) for name in sorted(names_of(rows))]
 
 
 def test_leave_one_system_out_leaves_each_system_out():
     rows = made_up(systems="GEC").rows
-    trials, found = tried(rows, "leave_one_system_out")
+    trials, subsets = tried(rows, "leave_one_system_out")
     assert trials == 3
-    assert [{name[0] for name in other.excluded} for other in found] == [{"G"}, {"E"}, {"C"}]
+    assert [{name[0] for name in other.excluded} for other in subsets] == [{"G"}, {"E"}, {"C"}]
 
 
 @pytest.mark.parametrize(("strategy", "column"), [("by_cn0", "cn0_dbhz"), ("by_elevation", "elevation_rad")])
@@ -66,9 +66,9 @@ def test_the_weakest_and_the_lowest_go_first(strategy, column):
     satellites = np.unique(rows.satellite)
     least = [getattr(rows, column)[rows.satellite == s].min() for s in satellites]
     order = [satellite_name(s) for s in satellites[np.argsort(least)].tolist()]
-    _, found = tried(rows, strategy)
-    assert len(found) >= 5
-    for other in found:
+    _, subsets = tried(rows, strategy)
+    assert len(subsets) >= 5
+    for other in subsets:
         assert set(other.excluded) == set(order[: len(other.excluded)])
 
 
@@ -77,57 +77,57 @@ def test_the_worst_residual_goes_first():
     code = made.rows.code_m.copy()
     wrong = made.rows.satellite == made.rows.satellite[9]
     code[wrong] += 25.0
-    _, found = tried(made.rows._replace(code_m=code), "by_residual", most=1)
-    assert [other.excluded for other in found] == [(satellite_name(int(made.rows.satellite[9])),)]
+    _, subsets = tried(made.rows._replace(code_m=code), "by_residual", most=1)
+    assert [other.excluded for other in subsets] == [(satellite_name(int(made.rows.satellite[9])),)]
 
 
 def test_explicit_is_one_trial_without_those_named():
     rows = made_up().rows
-    trials, found = tried(rows, "explicit", ("G03", "E05", "C40"))
-    assert (trials, [other.excluded for other in found]) == (1, [("E05", "G03")])
-    assert found[0].agreeing == 0
+    trials, subsets = tried(rows, "explicit", ("G03", "E05", "C40"))
+    assert (trials, [other.excluded for other in subsets]) == (1, [("E05", "G03")])
+    assert subsets[0].agreeing == 0
 
 
 @pytest.mark.parametrize("strategy", ["leave_one_out", "by_cn0", "by_elevation", "by_residual", "all"])
 def test_what_is_excluded_is_in_no_choice(strategy):
-    _, found = tried(made_up().rows, strategy, ("G03", "E05"))
-    assert found
-    assert all({"G03", "E05"} <= set(other.excluded) for other in found)
+    _, subsets = tried(made_up().rows, strategy, ("G03", "E05"))
+    assert subsets
+    assert all({"G03", "E05"} <= set(other.excluded) for other in subsets)
 
 
 @pytest.mark.parametrize("most", [-3, 0, 1, 2, 7, 20, 1000])
 @pytest.mark.parametrize("strategy", ["all", "leave_one_out", "explicit"])
 def test_no_more_are_tried_than_allowed_and_each_choice_once(strategy, most):
-    trials, found = tried(made_up().rows, strategy, (), most)
+    trials, subsets = tried(made_up().rows, strategy, (), most)
     assert trials <= max(most, 0)
-    assert len(found) <= trials
-    assert len({other.excluded for other in found}) == len(found)
+    assert len(subsets) <= trials
+    assert len({other.excluded for other in subsets}) == len(subsets)
 
 
 def test_trials_count_what_failed_too():
     """Phases of noise: nothing passes, and all of it was tried."""
     rows = made_up().rows
     noise = np.random.default_rng(5).uniform(-1, 1, rows.group.size)
-    trials, found = tried(rows._replace(phase_m=rows.phase_m + noise), "leave_one_out")
+    trials, subsets = tried(rows._replace(phase_m=rows.phase_m + noise), "leave_one_out")
     assert trials == 16
-    assert len(found) < 3
+    assert len(subsets) < 3
 
 
-def test_a_satellite_whose_phases_are_wrong_is_found_by_leaving_it_out():
+def test_a_satellite_whose_phases_are_wrong_is_identified_by_leaving_it_out():
     for seed in range(5):
         made = made_up(seed)
         wrong = made.rows.satellite == made.rows.satellite[6]
         phase = made.rows.phase_m + wrong * np.where(np.arange(wrong.size) % 2, 0.08, -0.06)
         limits = LIMITS._replace(partial=False)
-        _, found = tried(made.rows._replace(phase_m=phase), "leave_one_out", limits=limits)
-        without = [o for o in found if satellite_name(int(made.rows.satellite[6])) in o.excluded]
+        _, subsets = tried(made.rows._replace(phase_m=phase), "leave_one_out", limits=limits)
+        without = [o for o in subsets if satellite_name(int(made.rows.satellite[6])) in o.excluded]
         assert len(without) == 1
         np.testing.assert_allclose(without[0].position_ecef_m - AT, made.dx_m, atol=0.03)
 
 
 def test_agreement_counts_other_trials_at_the_same_place():
-    _, found = tried(made_up().rows, "leave_one_out")
-    assert [other.agreeing for other in found] == [15] * 16
+    _, subsets = tried(made_up().rows, "leave_one_out")
+    assert [other.agreeing for other in subsets] == [15] * 16
 
 
 def test_the_same_measurements_do_not_agree_with_themselves():
@@ -139,8 +139,8 @@ def test_the_same_measurements_do_not_agree_with_themselves():
         phase_m=np.where(idle, np.nan, made.rows.phase_m),
     )
     every = [name for name in names_of(rows) if name not in ("G01", "E01")]
-    found = [tried(rows, "explicit", (name,))[1][0] for name in ("G01", "E01")]
-    np.testing.assert_array_equal(found[0].position_ecef_m, found[1].position_ecef_m)
+    subsets = [tried(rows, "explicit", (name,))[1][0] for name in ("G01", "E01")]
+    np.testing.assert_array_equal(subsets[0].position_ecef_m, subsets[1].position_ecef_m)
     _, together = tried(rows, "leave_one_out")
     by_name = {other.excluded[0]: other.agreeing for other in together}
     assert by_name["G01"] == len(every)
@@ -157,20 +157,20 @@ def test_no_map_and_no_height_can_be_given():
 def test_few_satellites_are_few_choices(satellites, systems):
     rows = made_up(satellites=satellites, systems=systems).rows
     for strategy in ("all", "leave_one_out", "explicit", "by_residual"):
-        trials, found = tried(rows, strategy)
+        trials, subsets = tried(rows, strategy)
         assert trials <= (1 if strategy == "explicit" else 0) or satellites * len(systems) > 3
-        assert len(found) <= trials
+        assert len(subsets) <= trials
 
 
-def test_an_epoch_of_the_engine_has_other_estimates_at_its_own_place():
+def test_an_epoch_of_the_engine_has_candidates_at_its_position():
     d = open_sky_drive(seed=2, seconds=2)
     for solution, truth in zip(solved(d), d.true_ecef_m, strict=True):
-        trials, found = subset_candidates(solution, LIMITS, "all", most_trials=20)
+        trials, subsets = subset_candidates(solution, LIMITS, "all", most_trials=20)
         assert trials == 20
-        right = [np.linalg.norm(other.position_ecef_m - truth) < 0.2 for other in found]
-        assert len(found) >= 15
+        right = [np.linalg.norm(other.position_ecef_m - truth) < 0.2 for other in subsets]
+        assert len(subsets) >= 15
         assert all(right)
-        assert max(other.agreeing for other in found) >= 10
+        assert max(other.agreeing for other in subsets) >= 10
 
 
 def test_what_the_epoch_had_of_the_epochs_before_each_estimate_has_too():
@@ -179,6 +179,6 @@ def test_what_the_epoch_had_of_the_epochs_before_each_estimate_has_too():
     few = [name for k, name in enumerate(names_of(made.rows)) if k >= 5]
     known = PositionPrior(AT + made.dx_m, np.eye(3) / 0.02**2)
     _, (without,) = tried(made.rows, "explicit", few, 1)
-    _, (found,) = tried(made.rows, "explicit", few, 1, prior=known)
-    assert 1.0 - found.success_rate < 0.1 * (1.0 - without.success_rate)
-    np.testing.assert_allclose(found.position_ecef_m - AT, made.dx_m, atol=0.03)
+    _, (subsets,) = tried(made.rows, "explicit", few, 1, prior=known)
+    assert 1.0 - subsets.success_rate < 0.1 * (1.0 - without.success_rate)
+    np.testing.assert_allclose(subsets.position_ecef_m - AT, made.dx_m, atol=0.03)

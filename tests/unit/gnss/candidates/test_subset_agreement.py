@@ -22,20 +22,20 @@ from support.single_difference_rows import made_up_rows
 
 LIMITS = EngineSettings().fix_criteria()
 AT = np.array([1000.0, 2000.0, 3000.0])
-ASIDE = np.array([0.2, 0.0, 0.0])
+MOVED_M = np.array([0.2, 0.0, 0.0])
 """About one cycle."""
 
 
 def fixed(rows: SingleDifferences, **changed: Any) -> Solution:
     """The fix of all rows, as the engine makes it."""
-    found = estimate(rows, np.ones(rows.group.size, np.bool_), NO_PRIOR, LIMITS)
-    assert found.status == 0
+    agreement = estimate(rows, np.ones(rows.group.size, np.bool_), NO_PRIOR, LIMITS)
+    assert agreement.status == 0
     solution = Solution(
         time_ns=0,
         quality="fixed",
         reason="resolved",
-        position_ecef_m=AT + found.dx_m,
-        covariance_ecef_m2=found.covariance_m2,
+        position_ecef_m=AT + agreement.dx_m,
+        covariance_ecef_m2=agreement.covariance_m2,
         satellites=16,
         approximate_ecef_m=AT,
         rows=rows,
@@ -47,7 +47,7 @@ def made_up(seed: int = 1, **arguments: Any) -> SingleDifferences:
     return made_up_rows(np.random.default_rng(seed), **arguments).rows
 
 
-def moved(solution: Solution, by_m: np.ndarray = ASIDE) -> Solution:
+def moved(solution: Solution, by_m: np.ndarray = MOVED_M) -> Solution:
     assert solution.position_ecef_m is not None
     return replace(solution, position_ecef_m=solution.position_ecef_m + by_m)
 
@@ -58,23 +58,23 @@ def test_under_open_skies_every_epoch_agrees_with_its_subsets():
     assert {subset_agreement(s, LIMITS) for s in solutions} == {"agree"}
 
 
-def test_right_integers_with_the_noise_they_are_said_to_have_agree():
+def test_right_integers_with_the_modelled_noise_agree():
     """150 draws: the rate of false alarms is one in ten thousand."""
-    said = [subset_agreement(fixed(made_up(seed, systems="GEC")), LIMITS) for seed in range(150)]
-    assert said == ["agree"] * 150
+    outcomes = [subset_agreement(fixed(made_up(seed, systems="GEC")), LIMITS) for seed in range(150)]
+    assert outcomes == ["agree"] * 150
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_fix_that_stands_a_cycle_aside_of_its_subsets_disagrees(axis):
-    aside = moved(fixed(made_up()), 0.2 * np.eye(3)[axis])
-    assert subset_agreement(aside, LIMITS) == "disagree"
+def test_a_fix_one_cycle_off_its_subsets_disagrees(axis):
+    moved_fix = moved(fixed(made_up()), 0.2 * np.eye(3)[axis])
+    assert subset_agreement(moved_fix, LIMITS) == "disagree"
 
 
 def test_how_far_apart_they_may_be_follows_from_their_covariances():
     solution = fixed(made_up())
     vague = replace(solution, covariance_ecef_m2=0.1**2 * np.eye(3))
     assert subset_agreement(moved(vague), LIMITS) == "agree"
-    assert subset_agreement(moved(vague, 5.0 * ASIDE), LIMITS) == "disagree"
+    assert subset_agreement(moved(vague, 5.0 * MOVED_M), LIMITS) == "disagree"
     assert subset_agreement(moved(solution), LIMITS._replace(residual_quantile=1e3)) == "agree"
 
 
@@ -118,27 +118,27 @@ def other(by_m: np.ndarray, covariance_m2: np.ndarray, success_rate: float = 0.9
     )
 
 
-def said_by(monkeypatch: pytest.MonkeyPatch, *subsets: SubsetCandidate) -> str:
+def agreement_with(monkeypatch: pytest.MonkeyPatch, *subsets: SubsetCandidate) -> str:
     monkeypatch.setattr(module, "subset_candidates", lambda *_, **__: (len(subsets), list(subsets)))
     solution = fixed(made_up(), position_ecef_m=AT, covariance_ecef_m2=1e-4 * np.eye(3))
     return subset_agreement(solution, LIMITS)
 
 
 def test_the_very_same_position_is_no_second_opinion(monkeypatch):
-    assert said_by(monkeypatch, other(0.0 * ASIDE, 1e-4 * np.eye(3))) == "unknown"
+    assert agreement_with(monkeypatch, other(0.0 * MOVED_M, 1e-4 * np.eye(3))) == "unknown"
 
 
 def test_one_sure_subset_that_is_elsewhere_outweighs_those_that_agree(monkeypatch):
-    near, far = other(0.01 * ASIDE, 1e-4 * np.eye(3)), other(ASIDE, 1e-4 * np.eye(3))
-    assert said_by(monkeypatch, near, far) == said_by(monkeypatch, far, near) == "disagree"
-    assert said_by(monkeypatch, near, replace(far, success_rate=0.94)) == "agree"
+    near, far = other(0.01 * MOVED_M, 1e-4 * np.eye(3)), other(MOVED_M, 1e-4 * np.eye(3))
+    assert agreement_with(monkeypatch, near, far) == agreement_with(monkeypatch, far, near) == "disagree"
+    assert agreement_with(monkeypatch, near, replace(far, success_rate=0.94)) == "agree"
 
 
 @pytest.mark.parametrize("covariance_m2", [-1e-4 * np.eye(3), np.full((3, 3), np.nan)])
 def test_with_a_covariance_that_is_none_nothing_agrees(covariance_m2, monkeypatch):
-    assert said_by(monkeypatch, other(0.01 * ASIDE, covariance_m2)) == "disagree"
-    assert said_by(monkeypatch, other(0.01 * ASIDE, covariance_m2, 0.9)) == "unknown"
-    assert said_by(monkeypatch, other(np.full(3, np.nan), 1e-4 * np.eye(3), 0.9)) == "unknown"
+    assert agreement_with(monkeypatch, other(0.01 * MOVED_M, covariance_m2)) == "disagree"
+    assert agreement_with(monkeypatch, other(0.01 * MOVED_M, covariance_m2, 0.9)) == "unknown"
+    assert agreement_with(monkeypatch, other(np.full(3, np.nan), 1e-4 * np.eye(3), 0.9)) == "unknown"
 
 
 def test_no_map_and_no_height_can_be_given():

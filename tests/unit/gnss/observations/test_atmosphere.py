@@ -64,14 +64,14 @@ def test_klobuchars_delay_is_that_of_the_simulator():
             np.array([time_ns]), np.array([latitude]), np.array([longitude]), np.array([[azimuth]]),
             np.array([[elevation]]),
         )[0, 0]  # fmt: skip
-        found = klobuchar_m(COEFFICIENTS, time_ns / 1e9, latitude, longitude, elevation, azimuth)
+        delay = klobuchar_m(COEFFICIENTS, time_ns / 1e9, latitude, longitude, elevation, azimuth)
         # The document's series of the cosine is up to 2 % of the amplitude off at the edge of night: 3 ns, slanted.
-        assert found == pytest.approx(expected, abs=0.25)
+        assert delay == pytest.approx(expected, abs=0.25)
 
 
 def test_the_night_is_five_nanoseconds():
-    found = klobuchar_m(COEFFICIENTS, 0.0, 0.0, 0.0, math.pi / 2, 0.0)
-    assert found == pytest.approx(299792458.0 * 5e-9 * (1.0 + 16.0 * 0.03**3))
+    delay = klobuchar_m(COEFFICIENTS, 0.0, 0.0, 0.0, math.pi / 2, 0.0)
+    assert delay == pytest.approx(299792458.0 * 5e-9 * (1.0 + 16.0 * 0.03**3))
 
 
 @pytest.mark.parametrize("height_m", [-501.0, 9001.0, math.nan, math.inf])

@@ -1,4 +1,4 @@
-"""A base whose coordinate is not its own is found out by its own position."""
+"""A base whose coordinate is wrong is detected by its single point."""
 
 import functools
 
@@ -23,18 +23,18 @@ def drive():
     return open_sky_drive(seed=4, seconds=3)
 
 
-def said_of(position_m, epoch=None, store=None) -> str:
+def coordinate_of(position_m, epoch=None, store=None) -> str:
     base = BaseStation(np.array(position_m))
     base.add(epoch or drive().base[0])
     return base.coordinate(drive().store if store is None else store, NO_IONOSPHERE)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_its_own_coordinate_is_plausible_at_any_time_of_day(seed):
+def test_the_true_coordinate_is_plausible_at_any_time_of_day(seed):
     d = open_sky_drive(
         seed=seed, seconds=1, begin_ns=drive().base[0].time_ns + seed * 5 * 3600 * NS_PER_SECOND
     )
-    assert said_of(base_ecef_m(), d.base[0], d.store) == "plausible"
+    assert coordinate_of(base_ecef_m(), d.base[0], d.store) == "plausible"
 
 
 @pytest.mark.parametrize(
@@ -43,22 +43,22 @@ def test_its_own_coordinate_is_plausible_at_any_time_of_day(seed):
     ids=["datum", "near", "height", "next station", "absurd"],
 )
 def test_another_coordinate_is_not(offset_m):
-    assert said_of(base_ecef_m() + offset_m) == "implausible"
+    assert coordinate_of(base_ecef_m() + offset_m) == "implausible"
 
 
 @pytest.mark.parametrize("position_m", [(0.0, 0.0, 0.0), (np.nan,) * 3, (np.inf, 0.0, 0.0), (1.0, 2.0, 3.0)])
 def test_what_is_no_place_on_earth_is_not(position_m):
-    assert said_of(position_m) == "implausible"
+    assert coordinate_of(position_m) == "implausible"
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 3.0, 10.0])
-def test_what_a_single_point_cannot_tell_is_not_claimed(offset_m):
-    assert said_of(base_ecef_m() + offset_m * UP) == "plausible"
+def test_what_a_single_point_cannot_decide_is_unknown(offset_m):
+    assert coordinate_of(base_ecef_m() + offset_m * UP) == "plausible"
 
 
 def test_without_ephemerides_or_satellites_it_is_not_known():
-    assert said_of(base_ecef_m(), store=EphemerisStore()) == "unknown"
-    assert said_of(base_ecef_m(), some_rows(drive().base[0], np.arange(0))) == "unknown"
+    assert coordinate_of(base_ecef_m(), store=EphemerisStore()) == "unknown"
+    assert coordinate_of(base_ecef_m(), some_rows(drive().base[0], np.arange(0))) == "unknown"
     assert BaseStation(base_ecef_m()).coordinate(drive().store, NO_IONOSPHERE) == "unknown"
 
 
@@ -98,9 +98,9 @@ def test_late_epochs_are_not_taken():
 
 def test_whatever_a_station_calls_itself_becomes_a_name_that_a_message_can_have() -> None:
     longest = np.array([-13_743_895.347, -13_743_895.347, -13_743_895.347])
-    for told in ("rtcm-4095", "rinex-名古屋 1, roof*" + 60 * "x"):
+    for label in ("rtcm-4095", "rinex-名古屋 1, roof*" + 60 * "x"):
         for position in (None, longest, 1e30 * longest):
-            name = station_name(told, position)
+            name = station_name(label, position)
             assert TypeAdapter(Name).validate_python(name) == name
     full = station_name("rinex-" + 60 * "x", longest)
     assert full.endswith(":".join(3 * ["-13743895.347"]))

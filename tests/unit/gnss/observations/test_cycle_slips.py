@@ -112,7 +112,7 @@ def test_a_half_cycle_that_comes_and_goes_breaks_twice():
 
 @pytest.mark.parametrize("rate_hz", [1, 10])
 @pytest.mark.parametrize("cycles", [1, -1, 3])
-def test_a_slip_that_nobody_tells_breaks_the_bands_of_its_satellite(rate_hz, cycles):
+def test_an_unflagged_slip_breaks_the_bands_of_its_satellite(rate_hz, cycles):
     """Which band slipped is not known from their difference; where the Doppler knows, only that one breaks."""
     epochs = drive(rate_hz, 8)
     for k in range(4, 8):
@@ -197,15 +197,17 @@ def test_another_code_of_the_band_is_another_signal():
 
 @pytest.mark.parametrize("rate_hz", [1, 10])
 def test_lock_times_in_classes_break_nothing_while_they_grow(rate_hz):
-    """MSM4 tells the class only (DF402): 0, 32, 64, … ms, of half the true time at worst."""
+    """MSM4 has the class only (DF402): 0, 32, 64, … ms, of half the true time at worst."""
     epochs = drive(rate_hz, 60, noisy=False)
     for first_ms in (3.0, 40.0, 250.0, 700.0):
-        told = []
+        reported = []
         for k, e in enumerate(epochs):
             true_ms = first_ms + 1000.0 * k / rate_hz
             classes = np.array([0.0, *(32.0 * 2.0**n for n in range(15))])
-            told.append(replace(e, lock_time_s=np.full(len(SIGNALS), classes[classes <= true_ms][-1] * 1e-3)))
-        assert broken_in(told)[:2] == ([], {})
+            reported.append(
+                replace(e, lock_time_s=np.full(len(SIGNALS), classes[classes <= true_ms][-1] * 1e-3))
+            )
+        assert broken_in(reported)[:2] == ([], {})
 
 
 def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_than_before():

@@ -51,7 +51,7 @@ def test_an_ephemeris_is_in_use_until_its_systems_age_and_not_a_nanosecond_longe
         assert store.missing(time_ns, np.array([satellite_number(name)])) == {name: "too_old"}
 
 
-def test_the_nearest_toe_is_in_use_whatever_way_time_goes():
+def test_the_nearest_toe_is_in_use_forwards_and_backwards():
     toes = [NOON_NS + k * 2 * HOUR_NS for k in range(4)]
     store = filled(*(one("G05", toe) for toe in toes))
     rng = np.random.default_rng(1)
@@ -178,9 +178,9 @@ def test_galileos_delays_leave_the_clock_without_ionosphere_where_it_is():
     carriers = CARRIER_OF_BAND_HZ["E"]
     delays = {"bgd_e5a_s": 3e-9, "bgd_e5b_s": 5e-9}
     for sources, band in ((INAV, "7"), (FNAV, "5")):
-        found = group_delays_s(one("E11", other=delays | sources))
+        selected = group_delays_s(one("E11", other=delays | sources))
         gamma = (carriers["1"] / carriers[band]) ** 2
-        assert (found[band] - gamma * found["1"]) / (1.0 - gamma) == pytest.approx(0.0, abs=1e-20)
+        assert (selected[band] - gamma * selected["1"]) / (1.0 - gamma) == pytest.approx(0.0, abs=1e-20)
         for other, name in (("5", "bgd_e5a_s"), ("7", "bgd_e5b_s")):
-            bgd = (found["1"] - found[other]) / (1.0 - (carriers["1"] / carriers[other]) ** 2)
+            bgd = (selected["1"] - selected[other]) / (1.0 - (carriers["1"] / carriers[other]) ** 2)
             assert bgd == pytest.approx(delays[name], rel=1e-9)

@@ -1,4 +1,4 @@
-"""Late epochs, twice-told epochs, and a clock that was set back."""
+"""Late epochs, repeated epochs, and a clock that was set back."""
 
 import pytest
 from hypothesis import given, settings
@@ -9,13 +9,13 @@ from camber.gnss.observations.epoch_order import EpochOrder
 S = 1_000_000_000
 
 
-def said_of(*times_s: float) -> list[str]:
+def orders(*times_s: float) -> list[str]:
     order = EpochOrder()
     return [order.admit(round(t * S)) for t in times_s]
 
 
 @pytest.mark.parametrize(
-    ("times_s", "said"),
+    ("times_s", "expected"),
     [
         ((0, 1, 2), "next next next"),
         ((0, 1, 1, 2), "next next late next"),
@@ -27,8 +27,8 @@ def said_of(*times_s: float) -> list[str]:
         ((5, 6, 1, 1, 1, 1), "next next late late late late"),
     ],
 )
-def test_what_is_said_of_a_time(times_s, said):
-    assert " ".join(said_of(*times_s)) == said
+def test_missing_ephemerides_at_a_time(times_s, expected):
+    assert " ".join(orders(*times_s)) == expected
 
 
 @given(st.lists(st.integers(0, 50), max_size=60))
@@ -36,10 +36,10 @@ def test_what_is_said_of_a_time(times_s, said):
 def test_admitted_times_go_on_from_each_other_but_where_they_begin_anew(times):
     order, last = EpochOrder(), -1
     for t in times:
-        said = order.admit(t)
-        if said == "next":
+        expected = order.admit(t)
+        if expected == "next":
             assert t > last
         else:
             assert t <= last
-        if said != "late":
+        if expected != "late":
             last = t

@@ -1,4 +1,4 @@
-"""One way to hear all protocols: the same epochs from every format, damage counted, RTCM between UBX is the base's."""
+"""One reader for all protocols: the same epochs from every format, damage counted, RTCM between UBX is the base's."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from support.raw_drive import RawDrive
 NS = 1_000_000_000
 
 
-def heard(stream: Any, protocol: Any, data: bytes, near_ns: int) -> list[tuple[str, Any]]:
+def decoded(stream: Any, protocol: Any, data: bytes, near_ns: int) -> list[tuple[str, Any]]:
     reader = StreamReader(stream, protocol, "here", near_ns)
     return [*reader.feed(data), *reader.fell_silent()]
 
 
-def epochs(stream: str, said: list[tuple[str, Any]]) -> list[ObservationEpoch]:
-    return [what for whose, what in said if whose == stream and isinstance(what, ObservationEpoch)]
+def epochs(stream: str, received: list[tuple[str, Any]]) -> list[ObservationEpoch]:
+    return [what for whose, what in received if whose == stream and isinstance(what, ObservationEpoch)]
 
 
 def table(epoch: ObservationEpoch) -> dict[tuple[int, int], list[float]]:
@@ -56,9 +56,9 @@ def largest_difference(
 
 def test_ubx_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
     near_ns = raw_drive.times_ns[0]
-    ubx = epochs("rover", heard("rover", "ubx", b"".join(raw_drive.ubx_parts), near_ns))
+    ubx = epochs("rover", decoded("rover", "ubx", b"".join(raw_drive.ubx_parts), near_ns))
     text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts)
-    rinex = epochs("rover", heard("rover", "rinex", text, near_ns))
+    rinex = epochs("rover", decoded("rover", "rinex", text, near_ns))
     assert len(ubx) == len(raw_drive.times_ns)
     # RINEX has three decimals; UBX single precision of the Doppler, whole dB-Hz, and where it counts cycles from.
     difference = largest_difference(ubx, rinex, only_parts_of_cycles=True)
@@ -67,9 +67,9 @@ def test_ubx_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: R
 
 def test_rtcm_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
     near_ns = raw_drive.times_ns[0]
-    rtcm = epochs("base", heard("base", "rtcm", b"".join(raw_drive.rtcm_parts), near_ns + 3 * 86_400 * NS))
+    rtcm = epochs("base", decoded("base", "rtcm", b"".join(raw_drive.rtcm_parts), near_ns + 3 * 86_400 * NS))
     text = raw_drive.base_header + b"".join(raw_drive.base_rinex_parts)
-    rinex = epochs("base", heard("base", "rinex", text, near_ns))
+    rinex = epochs("base", decoded("base", "rinex", text, near_ns))
     assert len(rtcm) == len(raw_drive.times_ns)
     # MSM7: 2^-29 ms (0.6 mm) of pseudorange, 2^-31 ms of phase, 0.0001 m/s of range rate, 2^-4 dB-Hz.
     # Its phase counts whole cycles from where the pseudorange was.
@@ -89,7 +89,7 @@ def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
         ("rtcm", b"".join(raw_drive.rtcm_parts[:10])),
         ("rinex", text),
     ):
-        whole = [repr_of(each) for each in heard("rover", protocol, data, near_ns)]
+        whole = [repr_of(each) for each in decoded("rover", protocol, data, near_ns)]
         assert whole
         reader, pieces, random = StreamReader("rover", protocol, "here", near_ns), [], Random(3)  # type: ignore[arg-type]
         while data:
@@ -99,8 +99,8 @@ def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
         assert pieces == whole, protocol
 
 
-def repr_of(said: tuple[str, Any]) -> str:
-    whose, what = said
+def repr_of(received: tuple[str, Any]) -> str:
+    whose, what = received
     return (
         f"{whose} {what.time_ns} {table(what)}" if isinstance(what, ObservationEpoch) else f"{whose} {what}"
     )
@@ -108,15 +108,15 @@ def repr_of(said: tuple[str, Any]) -> str:
 
 def test_rtcm_in_a_receivers_mixed_stream_is_the_bases(raw_drive: RawDrive) -> None:
     data = b"".join(a + b for a, b in zip(raw_drive.rtcm_parts[:4], raw_drive.ubx_parts[:4], strict=True))
-    said = heard("rover", "mixed", data, raw_drive.times_ns[0])
-    assert [epoch.time_ns for epoch in epochs("rover", said)] == raw_drive.times_ns[:4]
-    assert [epoch.time_ns for epoch in epochs("base", said)] == raw_drive.times_ns[:4]
-    assert {(whose, what.label) for whose, what in said if isinstance(what, StationPosition)} == {
+    received = decoded("rover", "mixed", data, raw_drive.times_ns[0])
+    assert [epoch.time_ns for epoch in epochs("rover", received)] == raw_drive.times_ns[:4]
+    assert [epoch.time_ns for epoch in epochs("base", received)] == raw_drive.times_ns[:4]
+    assert {(whose, what.label) for whose, what in received if isinstance(what, StationPosition)} == {
         ("base", "rtcm-1")
     }
     # A receiver whose own observations come as RTCM says so with the protocol.
-    own = heard("rover", "rtcm", b"".join(raw_drive.rtcm_parts[:4]), raw_drive.times_ns[0])
-    assert len(epochs("rover", own)) == 4
+    receiver = decoded("rover", "rtcm", b"".join(raw_drive.rtcm_parts[:4]), raw_drive.times_ns[0])
+    assert len(epochs("rover", receiver)) == 4
 
 
 def test_navigation_files_come_one_after_another_with_the_last_record_and_the_ionosphere(
@@ -129,7 +129,9 @@ def test_navigation_files_come_one_after_another_with_the_last_record_and_the_io
     third = reader.fell_silent()
     assert not [what for _, what in (*first, *second, *third) if isinstance(what, FormatError)]
     # The last record is whole when another file begins, or nothing follows.
-    assert [len([1 for _, what in said if isinstance(what, Ephemeris)]) for said in (second, third)] == [
+    assert [
+        len([1 for _, what in received if isinstance(what, Ephemeris)]) for received in (second, third)
+    ] == [
         count + 1,
         1,
     ]
@@ -160,8 +162,8 @@ def header(**changed: Any) -> bytes:
     return "".join(f"{line}\n" for line in lines.values() if line).encode()
 
 
-def test_the_antenna_of_a_rinex_file_stands_above_and_beside_its_marker() -> None:
-    ((whose, where),) = heard("base", "rinex", header(), 0)
+def test_the_antenna_of_a_rinex_file_is_offset_from_its_marker() -> None:
+    ((whose, where),) = decoded("base", "rinex", header(), 0)
     assert whose == "base"
     assert isinstance(where, StationPosition)
     marker = np.array([1e6, 2e6, 6e6])
@@ -174,18 +176,18 @@ def test_the_antenna_of_a_rinex_file_stands_above_and_beside_its_marker() -> Non
 
 
 def test_a_rinex_file_calls_its_station_by_the_marker() -> None:
-    ((_, named),) = heard("base", "rinex", header(delta=f"{'NAGOYA 1':60}MARKER NAME"), 0)
-    ((_, unnamed),) = heard("base", "rinex", header(), 0)
+    ((_, named),) = decoded("base", "rinex", header(delta=f"{'NAGOYA 1':60}MARKER NAME"), 0)
+    ((_, unnamed),) = decoded("base", "rinex", header(), 0)
     assert (named.label, unnamed.label) == ("rinex-NAGOYA 1", "rinex-unnamed")
 
 
 def test_without_a_delta_the_antenna_is_the_marker_and_without_a_marker_nowhere() -> None:
-    ((_, where),) = heard("base", "rinex", header(delta=""), 0)
+    ((_, where),) = decoded("base", "rinex", header(delta=""), 0)
     assert where.position_ecef_m == pytest.approx((1e6, 2e6, 6e6), abs=1e-6)
-    assert heard("base", "rinex", header(position=""), 0) == []
+    assert decoded("base", "rinex", header(position=""), 0) == []
     # The earth's centre is how files say that they do not know.
     nowhere = f"{'        0.0000        0.0000        0.0000':60}APPROX POSITION XYZ"
-    assert heard("base", "rinex", header(position=nowhere), 0) == []
+    assert decoded("base", "rinex", header(position=nowhere), 0) == []
 
 
 def test_damage_is_counted_by_what_was_the_matter(raw_drive: RawDrive) -> None:

@@ -19,7 +19,7 @@ NS = 1_000_000_000
 
 
 class Sky:
-    """Everything that was said in the drive, by epoch."""
+    """All messages of the drive, by epoch."""
 
     def __init__(self, drive: RawDrive) -> None:
         near_ns = drive.times_ns[0]
@@ -27,14 +27,14 @@ class Sky:
             StreamReader(name, kind, "here", near_ns) for name, kind in (("rover", "ubx"), ("base", "rtcm"))
         )  # type: ignore[arg-type]
         self.rover = [epoch_in(rover.feed(part)) for part in drive.ubx_parts]
-        heard = [base.feed(part) for part in drive.rtcm_parts]
-        self.base = [epoch_in(said) for said in heard]
-        self.ephemerides = [what for _, what in heard[0] if isinstance(what, Ephemeris)]
-        (self.station,) = [what for _, what in heard[0] if isinstance(what, StationPosition)]
+        decoded = [base.feed(part) for part in drive.rtcm_parts]
+        self.base = [epoch_in(items) for items in decoded]
+        self.ephemerides = [what for _, what in decoded[0] if isinstance(what, Ephemeris)]
+        (self.station,) = [what for _, what in decoded[0] if isinstance(what, StationPosition)]
 
 
-def epoch_in(said: Any) -> ObservationEpoch:
-    (epoch,) = [what for _, what in said if isinstance(what, ObservationEpoch)]
+def epoch_in(items: Any) -> ObservationEpoch:
+    (epoch,) = [what for _, what in items if isinstance(what, ObservationEpoch)]
     return epoch
 
 
@@ -108,9 +108,9 @@ def test_a_fix_names_the_base_that_it_rests_on_and_a_position_by_itself_none(sky
 def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
     x, y, z = sky.station.position_ecef_m
     names = []
-    for told, up_m in (("rtcm-1", 0.0), ("rtcm-2", 0.0), ("rtcm-1", 0.05)):
+    for label, up_m in (("rtcm-1", 0.0), ("rtcm-2", 0.0), ("rtcm-1", 0.05)):
         rover = ready(sky)
-        rover.receive("base", StationPosition((x, y, z + up_m), told))
+        rover.receive("base", StationPosition((x, y, z + up_m), label))
         rover.receive("base", sky.base[0])
         rover.receive("rover", sky.rover[0])
         names += [each.base_station for each in solved(rover)]
@@ -185,20 +185,20 @@ class Velocities:
 def test_a_velocity_turns_the_heading_only_with_a_wheel_speed_of_its_time(
     wheel: float | None, age_ns: int, taken: int, sky: Sky
 ) -> None:
-    rover, heard = ready(sky), Velocities()
-    rover._heading = heard  # type: ignore[assignment]
+    rover, decoded = ready(sky), Velocities()
+    rover._heading = decoded  # type: ignore[assignment]
     results = drive(rover, sky, wheel, age_ns=age_ns, yaw=0.25)
-    assert heard.rates == [0.25] * 8
-    assert len(heard.given) == taken
-    for values, result in zip(heard.given, results, strict=False):
+    assert decoded.rates == [0.25] * 8
+    assert len(decoded.given) == taken
+    for values, result in zip(decoded.given, results, strict=False):
         time_ns, plane, speed = values
-        found = result.solution.velocity
-        assert found is not None
+        doppler = result.solution.velocity
+        assert doppler is not None
         assert time_ns == result.epoch.time_ns
-        assert (plane.east_m_s, plane.north_m_s) == tuple(found.velocity_enu_m_s[:2].tolist())
-        covariance = found.covariance_enu_m2_s2
+        assert (plane.east_m_s, plane.north_m_s) == tuple(doppler.velocity_enu_m_s[:2].tolist())
+        covariance = doppler.covariance_enu_m2_s2
         assert plane.covariance_m2_s2 == (covariance[0, 0], covariance[0, 1], covariance[1, 1])
-        assert (plane.hdop, speed) == (found.hdop, wheel)
+        assert (plane.hdop, speed) == (doppler.hdop, wheel)
 
 
 def test_a_solved_epoch_can_be_asked_for_other_estimates(sky: Sky) -> None:

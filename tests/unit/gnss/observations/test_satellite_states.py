@@ -44,17 +44,17 @@ def states_at(time_ns: int, pseudorange_m: np.ndarray) -> SatelliteStates:
 def test_states_are_those_of_the_simulator_at_the_time_of_transmission(after_s):
     time_ns = BEGIN_NS + round(after_s * 1e9)
     pseudorange = np.random.default_rng(3).uniform(1.9e7, 4.2e7, SATELLITES.size)
-    found = states_at(time_ns, pseudorange)
+    states = states_at(time_ns, pseudorange)
     table = OrbitTable.of(newest_in_use(TRUE, time_ns))
     assert table.satellite.tolist() == SATELLITES.tolist()
     sent_s = -pseudorange / SPEED_OF_LIGHT_M_S
     for _ in range(4):
         expected = satellite_states(table, np.array([time_ns]), sent_s[None])
         sent_s = -pseudorange / SPEED_OF_LIGHT_M_S - expected.clock_s[0]
-    np.testing.assert_allclose(found.position_m, expected.position_m[0], atol=1e-6, rtol=0)
-    np.testing.assert_allclose(found.velocity_m_s, expected.velocity_m_s[0], atol=1e-9, rtol=0)
-    np.testing.assert_allclose(found.clock_s, expected.clock_s[0], atol=1e-16, rtol=0)
-    np.testing.assert_allclose(found.clock_rate, expected.clock_rate[0], atol=1e-22, rtol=0)
+    np.testing.assert_allclose(states.position_m, expected.position_m[0], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(states.velocity_m_s, expected.velocity_m_s[0], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(states.clock_s, expected.clock_s[0], atol=1e-16, rtol=0)
+    np.testing.assert_allclose(states.clock_rate, expected.clock_rate[0], atol=1e-22, rtol=0)
 
 
 def test_velocities_and_clock_rates_are_the_differences_of_positions_and_clocks():
@@ -92,17 +92,17 @@ def test_without_a_row_or_a_pseudorange_a_state_is_nan_and_the_others_stand(wron
     rows[1], rows[2], rows[3] = -1, 10**9, -(2**62)
     pseudorange = np.full(6, 2.3e7)
     pseudorange[4] = wrong_m
-    found = states_at_transmission(STORE.table, rows, BEGIN_NS, pseudorange)
-    for column in found:
+    states = states_at_transmission(STORE.table, rows, BEGIN_NS, pseudorange)
+    for column in states:
         assert np.isnan(column[1:5]).all()
         assert np.isfinite(column[[0, 5]]).all()
 
 
 def test_no_satellite_at_all_gives_empty_columns():
     none = np.zeros(0, np.int64)
-    found = states_at_transmission(STORE.table, none, BEGIN_NS, np.zeros(0))
-    assert [c.shape for c in found] == [(0, 3), (0, 3), (0,), (0,)]
-    distance, direction = ranges(found.position_m, RECEIVER)
+    states = states_at_transmission(STORE.table, none, BEGIN_NS, np.zeros(0))
+    assert [c.shape for c in states] == [(0, 3), (0, 3), (0,), (0,)]
+    distance, direction = ranges(states.position_m, RECEIVER)
     assert distance.shape == (0,)
     assert direction.shape == (0, 3)
     empty = EphemerisStore()
@@ -113,14 +113,14 @@ def test_no_satellite_at_all_gives_empty_columns():
 
 
 def test_a_range_closes_the_light_time_in_an_inertial_frame():
-    found = states_at(BEGIN_NS, np.full(SATELLITES.size, 2.3e7))
-    distance, direction = ranges(found.position_m, RECEIVER)
+    states = states_at(BEGIN_NS, np.full(SATELLITES.size, 2.3e7))
+    distance, direction = ranges(states.position_m, RECEIVER)
     for k in range(SATELLITES.size):
         travel_s = 0.0
         for _ in range(10):
             a = EARTH_ROTATION_RAD_S * travel_s
             turn = np.array([[math.cos(a), math.sin(a), 0], [-math.sin(a), math.cos(a), 0], [0, 0, 1]])
-            line = turn @ found.position_m[k] - RECEIVER
+            line = turn @ states.position_m[k] - RECEIVER
             travel_s = float(np.linalg.norm(line)) / SPEED_OF_LIGHT_M_S
         assert distance[k] == pytest.approx(travel_s * SPEED_OF_LIGHT_M_S, abs=1e-6), satellite_name(
             SATELLITES[k]
@@ -129,8 +129,8 @@ def test_a_range_closes_the_light_time_in_an_inertial_frame():
 
 
 def test_elevation_and_azimuth_are_those_of_the_local_frame():
-    found = states_at(BEGIN_NS, np.full(SATELLITES.size, 2.3e7))
-    _, direction = ranges(found.position_m, RECEIVER)
+    states = states_at(BEGIN_NS, np.full(SATELLITES.size, 2.3e7))
+    _, direction = ranges(states.position_m, RECEIVER)
     elevation, azimuth = elevation_azimuth(RECEIVER, direction)
     frame = LocalFrame(math.radians(35.17), math.radians(136.9), 50.0)
     enu = direction @ frame.enu_from_ecef_rotation().T
@@ -145,13 +145,13 @@ def test_elevation_and_azimuth_are_those_of_the_local_frame():
 def test_the_compiled_place_is_that_of_the_geodesy(latitude, longitude, height):
     ecef = ecef_from_geodetic_scalar(latitude, longitude, height)
     expected = geodetic_from_ecef_scalar(*ecef)
-    found = geodetic(np.array(ecef))
-    assert found[0] == pytest.approx(expected[0], abs=1e-15)
-    assert math.cos(found[1] - expected[1]) == pytest.approx(1.0, abs=1e-15)
-    assert found[2] == pytest.approx(expected[2], abs=1e-8)
-    frame = LocalFrame(found[0], found[1], 0.0)
+    states = geodetic(np.array(ecef))
+    assert states[0] == pytest.approx(expected[0], abs=1e-15)
+    assert math.cos(states[1] - expected[1]) == pytest.approx(1.0, abs=1e-15)
+    assert states[2] == pytest.approx(expected[2], abs=1e-8)
+    frame = LocalFrame(states[0], states[1], 0.0)
     np.testing.assert_allclose(
-        enu_from_ecef_rotation(found[0], found[1]), frame.enu_from_ecef_rotation(), atol=1e-15
+        enu_from_ecef_rotation(states[0], states[1]), frame.enu_from_ecef_rotation(), atol=1e-15
     )
 
 

@@ -45,14 +45,14 @@ def columns(*names: str) -> SignalColumns:
 def paired(rover: list[str], base: list[str], rover_parts=None, base_parts=None, groups=ALL) -> list[str]:
     """Pairs as `G05:1C-1C`."""
     full = lambda names, parts: np.array([2] * len(names) if parts is None else parts, np.int64)  # noqa: E731
-    found = pair_signals(
+    pairs = pair_signals(
         columns(*rover),
         full(rover, rover_parts),
         columns(*base),
         base_usable=full(base, base_parts),
         groups=groups,
     )
-    return [f"{rover[i]}-{base[j].split(':')[1]}" for i, j in zip(*found[:2], strict=True)]
+    return [f"{rover[i]}-{base[j].split(':')[1]}" for i, j in zip(*pairs[:2], strict=True)]
 
 
 def group(name: str) -> int:
@@ -74,11 +74,11 @@ def test_a_group_is_a_carrier_of_systems_with_one_clock():
         assert WAVELENGTH_M[group(name)] == pytest.approx(SPEED_OF_LIGHT_M_S / hz)
 
 
-def test_every_band_of_every_system_is_told_from_its_group():
+def test_every_band_of_every_system_follows_from_its_group():
     for letter, bands in CARRIER_OF_BAND_HZ.items():
         for band in bands:
-            found = {group_of(ord(letter) * 256 + 1, ord(band) * 256 + code) for code in range(65, 91)} - {-1}
-            for g in found:
+            pairs = {group_of(ord(letter) * 256 + 1, ord(band) * 256 + code) for code in range(65, 91)} - {-1}
+            for g in pairs:
                 assert band_of(g) == int(band)
                 assert SYSTEMS[systems_of(np.array([g]))[0]] == ("G" if letter == "J" else letter)
 
@@ -121,7 +121,7 @@ def test_groups_that_are_not_chosen_are_left_out():
 
 
 @pytest.mark.parametrize("bands", [{"R": "1"}, {"G": "7"}, {"J": "1"}, {"E": "1x"}])
-def test_a_band_that_no_system_has_is_told(bands):
+def test_a_band_that_no_system_has_is_refused(bands):
     with pytest.raises(ValueError, match="expected a system of GEC"):
         groups_of(bands)
 

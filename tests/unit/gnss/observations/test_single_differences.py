@@ -97,11 +97,13 @@ def test_phases_of_a_group_differ_by_whole_cycles():
 def test_a_step_of_the_approximate_position_moves_the_rows_along_their_directions(axis):
     d = drive()
     step = np.eye(3)[axis] * 5.0
-    at, beside = (rows_of(d.rover[0], d.base[0], d.store, d.true_ecef_m[0] + m) for m in (np.zeros(3), step))
-    moved = (beside.code_m - at.code_m) + at.direction @ step
+    at, moved_rows = (
+        rows_of(d.rover[0], d.base[0], d.store, d.true_ecef_m[0] + m) for m in (np.zeros(3), step)
+    )
+    moved = (moved_rows.code_m - at.code_m) + at.direction @ step
     # 5 m of height are up to 1.6 mm of the troposphere, over the sine of the elevation.
     assert np.abs(moved * np.sin(at.elevation_rad)).max() < 0.002
-    np.testing.assert_allclose(beside.phase_m - at.phase_m, beside.code_m - at.code_m, atol=1e-6)
+    np.testing.assert_allclose(moved_rows.phase_m - at.phase_m, moved_rows.code_m - at.code_m, atol=1e-6)
 
 
 def test_a_base_seconds_older_than_the_rover_is_no_error_but_that_of_clocks_and_noise():

@@ -29,9 +29,9 @@ def test_from_the_truth_it_comes_to_the_truth(rate_hz):
         velocity, single, truth = measured(rate_hz, k - 1)
         prior.keep(velocity, single, truth, np.eye(3) * 0.01)
         velocity, single, truth = measured(rate_hz, k)
-        found = prior.at(velocity, single)
-        assert np.linalg.norm(found.position_m - truth) < 0.15 / rate_hz
-        assert np.linalg.norm(found.position_m - drive(rate_hz).true_ecef_m[k - 1]) > 5.0 / rate_hz
+        propagated = prior.at(velocity, single)
+        assert np.linalg.norm(propagated.position_m - truth) < 0.15 / rate_hz
+        assert np.linalg.norm(propagated.position_m - drive(rate_hz).true_ecef_m[k - 1]) > 5.0 / rate_hz
 
 
 @pytest.mark.parametrize("rate_hz", [1, 5])
@@ -43,10 +43,10 @@ def test_it_is_less_sure_than_what_it_comes_from_by_as_much_in_a_second_at_any_r
         velocity, single, _ = measured(rate_hz, k)
         prior.keep(velocity, single, at, covariance)
         velocity, single, _ = measured(rate_hz, k + 1)
-        found = prior.at(velocity, single)
-        grown = np.linalg.inv(found.information)
+        propagated = prior.at(velocity, single)
+        grown = np.linalg.inv(propagated.information)
         assert np.linalg.eigvalsh(grown - covariance).min() > 0.0
-        at, covariance = found.position_m, grown
+        at, covariance = propagated.position_m, grown
     assert 0.05 < np.sqrt(np.trace(covariance) - 1.4) < 0.5
 
 

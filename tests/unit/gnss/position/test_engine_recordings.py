@@ -105,15 +105,15 @@ def rnx2rtkp(name: str) -> dict[int, tuple[bool, np.ndarray]]:
             cwd=scratch, check=True, capture_output=True, stdin=subprocess.DEVNULL, timeout=120,
         )  # fmt: skip
         lines = (Path(scratch) / "out.pos").read_text().splitlines()
-    found = {}
+    by_epoch = {}
     for line in lines:
         if line and not line.startswith("%"):
             week, tow, latitude, longitude, height_m, quality, *_ = line.split()
             time_ns = gps_ns_from_week_tow(int(week), nanoseconds_from_decimal(tow))
             radians = np.deg2rad([[float(latitude)], [float(longitude)]])
             position = np.ravel(ecef_from_geodetic(radians[0], radians[1], np.array([float(height_m)])))
-            found[second(time_ns)] = (quality == "1", position)
-    return found
+            by_epoch[second(time_ns)] = (quality == "1", position)
+    return by_epoch
 
 
 def second(time_ns: int) -> int:
@@ -153,9 +153,9 @@ def test_on_the_rooftop_fixes_are_within_their_covariances():
 @pytest.mark.parametrize(("options", "least"), [(DEFAULTS, 300), (ALONE, 300)], ids=["defaults", "alone"])
 def test_in_fujisawa_most_epochs_are_fixed_on_the_road(options, least):
     solutions = solved("fujisawa", options)
-    found = fixes(solutions)
-    assert (len(solutions), len(found) >= least) == (360, True)
-    heights_m = [geodetic_from_ecef_scalar(*at)[2] for at in found.values()]
+    by_epoch = fixes(solutions)
+    assert (len(solutions), len(by_epoch) >= least) == (360, True)
+    heights_m = [geodetic_from_ecef_scalar(*at)[2] for at in by_epoch.values()]
     # The issue allows half a metre on either side.
     assert min(heights_m) > HEIGHTS_M[0] - 0.3
     assert max(heights_m) < HEIGHTS_M[1] + 0.35
@@ -191,11 +191,11 @@ def test_in_fujisawa_no_fix_is_off_the_consensus():
 
 def test_in_fujisawa_fixes_move_as_a_car_does():
     """No fix lies apart from those a second before and after by more than a car's acceleration."""
-    found = fixes(solved("fujisawa", DEFAULTS))
+    by_epoch = fixes(solved("fujisawa", DEFAULTS))
     bends = [
-        np.linalg.norm(found[t + 1] - 2.0 * at + found[t - 1])
-        for t, at in found.items()
-        if t - 1 in found and t + 1 in found
+        np.linalg.norm(by_epoch[t + 1] - 2.0 * at + by_epoch[t - 1])
+        for t, at in by_epoch.items()
+        if t - 1 in by_epoch and t + 1 in by_epoch
     ]
     assert len(bends) > 280
     assert max(bends) < 5.0
@@ -214,7 +214,7 @@ def test_as_many_fixes_as_rnx2rtkp_with_the_same_satellites_and_within_five_cent
 
 
 @pytest.mark.parametrize(("offset_m", "with_ionosphere"), [(37.0, True), (-37.0, True), (400.0, False)])
-def test_a_coordinate_of_the_rooftops_base_with_another_height_is_found_out(offset_m, with_ionosphere):
+def test_another_height_of_the_rooftops_base_is_detected(offset_m, with_ionosphere):
     """37 m are the geoid's height in much of Japan: a height above the sea that was taken for an ellipsoidal one."""
     rover, base, ephemerides, base_m, paths = files("rooftop")
     engine = Engine(EngineSettings(), base_m + offset_m * base_m / np.linalg.norm(base_m))

@@ -1,4 +1,4 @@
-"""A warning is told when it happens and when it happens again, with what an operator can do about it."""
+"""A warning is reported when it happens and when it happens again, with what an operator can do about it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from camber.gnss.position.rtk_engine import Engine
 from camber.gnss.warm_up import _constellation
 
 
-def test_a_warning_is_told_each_time_it_has_happened_again() -> None:
+def test_a_warning_is_reported_each_time_it_has_happened_again() -> None:
     engine, warnings = Engine(EngineSettings()), EngineWarnings()
     assert warnings.new(engine) == []
     engine.warnings["base_silent"] += 3
@@ -26,7 +26,7 @@ def test_a_warning_is_told_each_time_it_has_happened_again() -> None:
     assert warnings.new(engine) == [("base_silent", f"4 epochs; {HELP['base_silent']}")]
 
 
-def test_ephemerides_that_are_refused_are_told_with_why() -> None:
+def test_refused_ephemerides_are_reported_with_the_reason() -> None:
     engine, warnings = Engine(EngineSettings()), EngineWarnings()
     first, second, third = _constellation()[:3]
     for ephemeris in (
@@ -39,7 +39,7 @@ def test_ephemerides_that_are_refused_are_told_with_why() -> None:
     assert warnings.new(engine) == []
 
 
-def test_a_base_far_from_its_coordinate_is_told_with_how_far() -> None:
+def test_a_base_far_from_its_coordinate_is_reported_with_the_distance() -> None:
     engine, warnings = Engine(EngineSettings()), EngineWarnings()
     engine.warnings["base_position_wrong"] += 1
     assert warnings.new(engine) == [("base_position_wrong", "1 epochs; not a position on the earth")]

@@ -15,7 +15,7 @@ from support.single_difference_rows import made_up_rows, slow_float
 NO_OUTLIERS = np.inf
 
 
-def found_in(rows, usable=None, prior=NO_PRIOR, limit=3.5):
+def position_from(rows, usable=None, prior=NO_PRIOR, limit=3.5):
     usable = np.ones(rows.group.size, np.bool_) if usable is None else usable
     return float_position(rows, usable, prior, limit)
 
@@ -24,21 +24,21 @@ def found_in(rows, usable=None, prior=NO_PRIOR, limit=3.5):
 @pytest.mark.parametrize("last", [False, True])
 def test_it_is_that_of_double_differences_whatever_their_reference(seed, last):
     rows = made_up_rows(np.random.default_rng(seed), systems="GEC", bands=3, noise=0.5).rows
-    found = found_in(rows, limit=NO_OUTLIERS)
+    result = position_from(rows, limit=NO_OUTLIERS)
     dx, covariance, chi2, freedom = slow_float(rows, np.ones(rows.group.size, np.bool_), last)
-    np.testing.assert_allclose(found.dx_m, dx, atol=1e-6)
-    assert (found.freedom, found.chi2) == (freedom, pytest.approx(chi2, rel=1e-4))
-    np.testing.assert_allclose(found.covariance_m2, covariance * max(1.0, chi2 / freedom), rtol=1e-6)
+    np.testing.assert_allclose(result.dx_m, dx, atol=1e-6)
+    assert (result.freedom, result.chi2) == (freedom, pytest.approx(chi2, rel=1e-4))
+    np.testing.assert_allclose(result.covariance_m2, covariance * max(1.0, chi2 / freedom), rtol=1e-6)
 
 
 def test_its_covariance_is_that_of_its_errors():
     nees, chi2, freedom = [], 0.0, 0
     for seed in range(300):
         made = made_up_rows(np.random.default_rng(1000 + seed))
-        found = found_in(made.rows, limit=NO_OUTLIERS)
-        error = found.dx_m - made.dx_m
-        nees.append(error @ np.linalg.solve(found.covariance_m2, error))
-        chi2, freedom = chi2 + found.chi2, freedom + found.freedom
+        result = position_from(made.rows, limit=NO_OUTLIERS)
+        error = result.dx_m - made.dx_m
+        nees.append(error @ np.linalg.solve(result.covariance_m2, error))
+        chi2, freedom = chi2 + result.chi2, freedom + result.freedom
     # Scaled up where χ² is large by chance, so a little below 3.
     assert 2.3 < np.mean(nees) < 3.4
     assert chi2 / freedom == pytest.approx(1.0, abs=0.05)
@@ -46,9 +46,9 @@ def test_its_covariance_is_that_of_its_errors():
 
 def test_a_clock_common_to_a_group_changes_nothing():
     rows = made_up_rows(np.random.default_rng(1)).rows
-    before = found_in(rows)
+    before = position_from(rows)
     shifted = rows._replace(code_m=rows.code_m + 1234.5 * (rows.group == rows.group[0]))
-    np.testing.assert_allclose(found_in(shifted).dx_m, before.dx_m, atol=1e-6)
+    np.testing.assert_allclose(position_from(shifted).dx_m, before.dx_m, atol=1e-6)
 
 
 def test_wrong_codes_are_left_out_and_the_others_are_not():
@@ -57,15 +57,15 @@ def test_wrong_codes_are_left_out_and_the_others_are_not():
         wrong = np.random.default_rng(seed + 500).choice(made.rows.group.size, 3, replace=False)
         code = made.rows.code_m.copy()
         code[wrong] += (40.0, -25.0, 60.0)
-        found = found_in(made.rows._replace(code_m=code))
-        assert not found.used[wrong].any()
-        assert found.used.sum() >= made.rows.group.size - 4
-        assert np.linalg.norm(found.dx_m - made.dx_m) < 1.5
+        result = position_from(made.rows._replace(code_m=code))
+        assert not result.used[wrong].any()
+        assert result.used.sum() >= made.rows.group.size - 4
+        assert np.linalg.norm(result.dx_m - made.dx_m) < 1.5
 
 
 def test_codes_that_scatter_more_than_they_say_make_the_position_less_sure():
-    calm = found_in(made_up_rows(np.random.default_rng(3), noise=0.5).rows, limit=NO_OUTLIERS)
-    wild = found_in(made_up_rows(np.random.default_rng(3), noise=4.0).rows, limit=NO_OUTLIERS)
+    calm = position_from(made_up_rows(np.random.default_rng(3), noise=0.5).rows, limit=NO_OUTLIERS)
+    wild = position_from(made_up_rows(np.random.default_rng(3), noise=4.0).rows, limit=NO_OUTLIERS)
     assert np.trace(wild.covariance_m2) > 4.0 * np.trace(calm.covariance_m2)
 
 
@@ -75,21 +75,23 @@ def test_rows_without_a_code_or_not_to_be_used_do_not_count():
     code[[2, 7]] = np.nan
     usable = np.ones(rows.group.size, np.bool_)
     usable[[1, 5]] = False
-    found = found_in(rows._replace(code_m=code), usable)
-    assert not found.used[[1, 2, 5, 7]].any()
-    expected, *_ = slow_float(rows._replace(code_m=code), found.used)
-    np.testing.assert_allclose(found.dx_m, expected, atol=1e-6)
+    result = position_from(rows._replace(code_m=code), usable)
+    assert not result.used[[1, 2, 5, 7]].any()
+    expected, *_ = slow_float(rows._replace(code_m=code), result.used)
+    np.testing.assert_allclose(result.dx_m, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("satellites", "systems"), [(0, "G"), (1, "G"), (3, "G"), (2, "GE"), (1, "GEC")])
 def test_too_few_satellites_make_no_position(satellites, systems):
     rows = made_up_rows(np.random.default_rng(5), satellites=satellites, systems=systems, bands=1).rows
-    assert found_in(rows).freedom < 0
+    assert position_from(rows).freedom < 0
 
 
 def test_satellites_in_one_direction_make_no_position():
     rows = made_up_rows(np.random.default_rng(6), systems="G").rows
-    assert found_in(rows._replace(direction=np.tile(rows.direction[0], (rows.group.size, 1)))).freedom < 0
+    assert (
+        position_from(rows._replace(direction=np.tile(rows.direction[0], (rows.group.size, 1)))).freedom < 0
+    )
 
 
 def test_a_sharp_prior_is_the_position_and_a_vague_one_is_nothing():
@@ -99,7 +101,7 @@ def test_a_sharp_prior_is_the_position_and_a_vague_one_is_nothing():
     sharp = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 0.001**2), 3.5)
     np.testing.assert_allclose(sharp.dx_m, prior_m, atol=0.01)
     vague = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 1000.0**2), 3.5)
-    alone = found_in(rows)
+    alone = position_from(rows)
     np.testing.assert_allclose(vague.dx_m, alone.dx_m, atol=1e-3)
     np.testing.assert_allclose(vague.covariance_m2, alone.covariance_m2, rtol=1e-3)
 
@@ -109,7 +111,7 @@ def test_with_a_prior_no_more_is_claimed_than_the_better_of_both_has(seed):
     """Joined as if independent the same error twice would be halved: the prior may be of the very same reflections."""
     rng = np.random.default_rng(seed)
     rows = made_up_rows(rng).rows
-    alone = found_in(rows)
+    alone = position_from(rows)
     root = rng.normal(size=(3, 3)) * rng.uniform(0.1, 2.0)
     covariance = root @ root.T + 0.01 * np.eye(3)
     usable = np.ones(rows.group.size, np.bool_)
@@ -123,13 +125,13 @@ def test_with_a_prior_no_more_is_claimed_than_the_better_of_both_has(seed):
     np.testing.assert_allclose(again.covariance_m2, alone.covariance_m2, rtol=1e-6)
 
 
-def test_a_prior_tells_which_codes_are_wrong_where_they_alone_cannot():
+def test_a_prior_identifies_wrong_codes_that_they_alone_cannot():
     made = made_up_rows(np.random.default_rng(8), satellites=5, systems="G", bands=1, noise=0.3)
     code = made.rows.code_m.copy()
     code[0] += 30.0
     rows = made.rows._replace(code_m=code)
     usable = np.ones(5, np.bool_)
-    alone = found_in(rows)
+    alone = position_from(rows)
     helped = float_with_prior(rows, usable, PositionPrior(made.dx_m + 0.2, np.eye(3)), 3.5)
     assert np.linalg.norm(alone.dx_m - made.dx_m) > 5.0
     assert np.linalg.norm(helped.dx_m - made.dx_m) < 1.5
@@ -138,9 +140,9 @@ def test_a_prior_tells_which_codes_are_wrong_where_they_alone_cannot():
 def test_a_prior_alone_is_the_position_where_codes_make_none():
     rows = made_up_rows(np.random.default_rng(9), satellites=3, systems="G", bands=1).rows
     prior_m = np.array([1.0, 2.0, 3.0])
-    found = float_with_prior(rows, np.ones(3, np.bool_), PositionPrior(prior_m, np.eye(3)), 3.5)
-    np.testing.assert_array_equal(found.dx_m, prior_m)
-    np.testing.assert_allclose(found.covariance_m2, np.eye(3))
+    result = float_with_prior(rows, np.ones(3, np.bool_), PositionPrior(prior_m, np.eye(3)), 3.5)
+    np.testing.assert_array_equal(result.dx_m, prior_m)
+    np.testing.assert_allclose(result.covariance_m2, np.eye(3))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -44,14 +44,14 @@ from support.raw_drive import RawDrive
 NS = 1_000_000_000
 RIGHT_M = 0.05
 EPOCHS = 12
-Said = tuple[str, str, bytes]
-Tick = Callable[[int], Iterable[Said]]
+Sent = tuple[str, str, bytes]
+Tick = Callable[[int], Iterable[Sent]]
 
 
 class FakeBus:
     def __init__(self) -> None:
         self.time_ns = 0
-        self.said: list[Message] = []
+        self.published: list[Message] = []
         self.issues: list[tuple[str, str]] = []
         self.counters: Counter[str] = Counter()
 
@@ -60,7 +60,7 @@ class FakeBus:
 
     def publish(self, name: str, message: Message) -> None:
         encode(message)
-        self.said.append(message)
+        self.published.append(message)
 
     def issue(self, code: str, text: str) -> None:
         self.issues.append((code, text))
@@ -73,7 +73,7 @@ class FakeBus:
 
     @property
     def fixes(self) -> list[Fix]:
-        return [message for message in self.said if isinstance(message, Fix)]
+        return [message for message in self.published if isinstance(message, Fix)]
 
     def named(self) -> dict[str, str]:
         """Last text by code."""
@@ -84,7 +84,7 @@ class FakeBus:
 
 
 class Run:
-    """The service over the first epochs of the drive; `tick` says what is heard in each."""
+    """The service over the first epochs of the drive; `tick` is the content of each."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Run:
         tick: Tick,
         *,
         epochs: int = EPOCHS,
-        behind_ns: int = 50_000_000,
+        delay_ns: int = 50_000_000,
         **settings: Any,
     ) -> None:
         self.bus = FakeBus()
@@ -101,7 +101,7 @@ class Run:
         self.drive = drive
         handlers = self.service.handlers()
         for k in range(epochs):
-            self.bus.time_ns = drive.times_ns[k] + behind_ns
+            self.bus.time_ns = drive.times_ns[k] + delay_ns
             for stream, protocol, data in tick(k):
                 handlers["receiver_bytes"](
                     ReceiverBytes(
@@ -130,7 +130,7 @@ def streams(drive: RawDrive) -> Tick:
 
 
 def files(drive: RawDrive) -> Tick:
-    def tick(k: int) -> Iterable[Said]:
+    def tick(k: int) -> Iterable[Sent]:
         if k == 0:
             for start in range(0, len(drive.navigation), 64_000):
                 yield "ephemerides", "rinex", drive.navigation[start : start + 64_000]
@@ -141,9 +141,9 @@ def files(drive: RawDrive) -> Tick:
 
 
 def measured(drive: RawDrive, k: int) -> ObservationEpoch:
-    (said,) = StreamReader("rover", "ubx", "here", drive.times_ns[0]).feed(drive.ubx_parts[k])[:1]
-    assert isinstance(said[1], ObservationEpoch)
-    return said[1]
+    (published,) = StreamReader("rover", "ubx", "here", drive.times_ns[0]).feed(drive.ubx_parts[k])[:1]
+    assert isinstance(published[1], ObservationEpoch)
+    return published[1]
 
 
 def with_rover(drive: RawDrive, change: Callable[[int, ObservationEpoch], ObservationEpoch]) -> Tick:
@@ -183,7 +183,7 @@ def test_one_port_with_ubx_rtcm_and_nmea_gives_the_same(raw_drive: RawDrive) -> 
     assert len(mixed.fixed()) == EPOCHS
 
 
-def test_the_base_is_heard_before_the_rover_in_whatever_order_they_come(raw_drive: RawDrive) -> None:
+def test_the_base_is_used_before_the_rover_in_any_order_of_arrival(raw_drive: RawDrive) -> None:
     first = Run(raw_drive, lambda k: reversed(list(streams(raw_drive)(k))))
     second = Run(raw_drive, streams(raw_drive))
     assert first.bus.fixes == second.bus.fixes
@@ -194,12 +194,12 @@ def test_velocities_come_with_a_heading_where_the_wheels_turn_and_observations_w
     raw_drive: RawDrive,
 ) -> None:
     quiet = Run(raw_drive, streams(raw_drive), epochs=4)
-    assert not [message for message in quiet.bus.said if isinstance(message, Observations)]
+    assert not [message for message in quiet.bus.published if isinstance(message, Observations)]
     run = Run(raw_drive, streams(raw_drive), epochs=4, publish_observations=True)
-    told = [message for message in run.bus.said if isinstance(message, Observations)]
-    assert [message.time_ns for message in told] == raw_drive.times_ns[:4]
-    assert len(told[0].satellite) == measured(raw_drive, 0).satellite.size
-    velocities = [message for message in run.bus.said if isinstance(message, SatelliteVelocity)]
+    issue_text = [message for message in run.bus.published if isinstance(message, Observations)]
+    assert [message.time_ns for message in issue_text] == raw_drive.times_ns[:4]
+    assert len(issue_text[0].satellite) == measured(raw_drive, 0).satellite.size
+    velocities = [message for message in run.bus.published if isinstance(message, SatelliteVelocity)]
     assert [message.time_ns for message in velocities] == raw_drive.times_ns[:4]
     assert np.abs([message.velocity_enu_m_s for message in velocities]).max() < 1.0  # it begins from rest
 
@@ -235,8 +235,8 @@ def test_a_base_position_that_is_configured_counts_whatever_the_stream_says(raw_
 
 
 def station(drive: RawDrive) -> tuple[float, float, float]:
-    said = StreamReader("base", "rtcm", "here", drive.times_ns[0]).feed(drive.rtcm_parts[0])
-    (place,) = [what.position_ecef_m for _, what in said if hasattr(what, "position_ecef_m")]
+    published = StreamReader("base", "rtcm", "here", drive.times_ns[0]).feed(drive.rtcm_parts[0])
+    (place,) = [what.position_ecef_m for _, what in published if hasattr(what, "position_ecef_m")]
     return cast(tuple[float, float, float], place)
 
 
@@ -280,7 +280,7 @@ def test_damaged_and_truncated_streams_cost_epochs_and_make_no_fix_wrong(
 
 
 def test_wrong_checksums_are_counted_and_leave_the_base_silent(raw_drive: RawDrive) -> None:
-    def tick(k: int) -> Iterable[Said]:
+    def tick(k: int) -> Iterable[Sent]:
         frames = [bytes([*frame[:-1], frame[-1] ^ 1]) for frame in raw_drive.frames(k)]
         return [("base", "rtcm", b"".join(frames)), ("rover", "ubx", raw_drive.ubx_parts[k])]
 
@@ -293,13 +293,13 @@ def test_wrong_checksums_are_counted_and_leave_the_base_silent(raw_drive: RawDri
     assert "base_silent" in run.bus.named()
 
 
-def test_several_protocols_on_one_port_that_is_said_to_have_one_are_named(raw_drive: RawDrive) -> None:
+def test_several_protocols_on_a_port_configured_for_one_are_named(raw_drive: RawDrive) -> None:
     run = Run(raw_drive, lambda k: [("rover", "ubx", raw_drive.rtcm_parts[k] + raw_drive.ubx_parts[k])])
     assert run.fixed() == []
     assert run.bus.named()["damaged_input"].endswith("expected ubx alone (several on one port: mixed)")
 
 
-def test_positions_on_a_stream_are_not_used_and_that_is_said(raw_drive: RawDrive) -> None:
+def test_positions_on_a_stream_are_not_used_and_that_is_reported(raw_drive: RawDrive) -> None:
     run = Run(raw_drive, lambda k: [("rover", "nmea", b"$GPGGA\r\n"), *streams(raw_drive)(k)])
     assert len(run.fixed()) == EPOCHS
     assert run.bus.issues == [
@@ -322,14 +322,14 @@ def test_a_receiver_whose_week_rolled_over_is_dated_right(raw_drive: RawDrive) -
 def test_a_clock_that_lacks_the_leap_seconds_makes_all_epochs_come_from_the_future(
     raw_drive: RawDrive,
 ) -> None:
-    run = Run(raw_drive, streams(raw_drive), behind_ns=-18 * NS)
+    run = Run(raw_drive, streams(raw_drive), delay_ns=-18 * NS)
     assert run.bus.fixes == []
     assert {code for code, _ in run.bus.issues} == {"epoch_from_the_future"}
     assert not run.service.healthy()
 
 
 def test_a_clock_that_was_set_by_years_has_the_streams_read_anew(raw_drive: RawDrive) -> None:
-    run = Run(raw_drive, streams(raw_drive), epochs=3, behind_ns=-(10 * 365 + 3) * 86_400 * NS)
+    run = Run(raw_drive, streams(raw_drive), epochs=3, delay_ns=-(10 * 365 + 3) * 86_400 * NS)
     assert run.bus.fixes == []
     run.bus.time_ns = raw_drive.times_ns[0]
     for k in range(3, 3 + EPOCHS):
@@ -513,7 +513,7 @@ def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive
             ("rover", "ubx", raw_drive.ubx_parts[order[k]]),
         ],
         epochs=6,
-        behind_ns=NS // 5,
+        delay_ns=NS // 5,
     )
     assert [fix.time_ns for fix in run.fixed()] == [raw_drive.times_ns[k] for k in (0, 1, 3, 4)]
     assert {"repeated_epoch", "out_of_order_epoch"} <= run.bus.named().keys()
@@ -523,7 +523,7 @@ def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive
 
 
 @pytest.mark.parametrize("protocol", ["ubx", "mixed"])
-def test_a_receivers_own_positions_come_from_the_same_stream_and_nothing_is_solved(
+def test_a_receivers_positions_come_from_the_same_stream_and_nothing_is_solved(
     protocol: Any, raw_drive: RawDrive
 ) -> None:
     bus = FakeBus()
@@ -539,6 +539,6 @@ def test_a_receivers_own_positions_come_from_the_same_stream_and_nothing_is_solv
     assert [fix.time_ns for fix in bus.fixes] == raw_drive.times_ns[: EPOCHS - 1]
     assert {fix.origin for fix in bus.fixes} == {"receiver"}
     assert bus.issues == []
-    words = [message for message in bus.said if isinstance(message, ReceiverIntegrity)]
-    assert [message.time_ns for message in words] == raw_drive.times_ns[: EPOCHS - 1]
-    assert {type(message) for message in bus.said} == {Fix, ReceiverIntegrity}
+    names = [message for message in bus.published if isinstance(message, ReceiverIntegrity)]
+    assert [message.time_ns for message in names] == raw_drive.times_ns[: EPOCHS - 1]
+    assert {type(message) for message in bus.published} == {Fix, ReceiverIntegrity}

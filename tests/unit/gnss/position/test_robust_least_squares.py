@@ -55,26 +55,26 @@ def test_the_tail_of_chi_squared_is_scipys(degrees):
 
 def test_what_is_consistent_is_fitted_as_numpy_does():
     design, observed, sigma, _ = problem(1)
-    found = fit(design, observed, sigma)
+    estimate = fit(design, observed, sigma)
     weighted = design / sigma[:, None]
     expected, rss, _, _ = np.linalg.lstsq(weighted, observed / sigma, rcond=None)
-    np.testing.assert_allclose(found.value, expected, rtol=1e-9)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(weighted.T @ weighted), rtol=1e-9)
-    np.testing.assert_allclose(found.residual, observed - design @ expected, atol=1e-9)
-    assert found.chi_squared == pytest.approx(rss[0])
-    assert (found.status, found.degrees, bool(found.used.all())) == (OK, 16, True)
+    np.testing.assert_allclose(estimate.value, expected, rtol=1e-9)
+    np.testing.assert_allclose(estimate.covariance, np.linalg.inv(weighted.T @ weighted), rtol=1e-9)
+    np.testing.assert_allclose(estimate.residual, observed - design @ expected, atol=1e-9)
+    assert estimate.chi_squared == pytest.approx(rss[0])
+    assert (estimate.status, estimate.degrees, bool(estimate.used.all())) == (OK, 16, True)
 
 
 def test_a_prior_is_an_observation_of_zero():
     design, observed, sigma, _ = problem(2)
     prior = np.array([np.inf, 0.5, np.inf, 2.0])
-    found = consistent_fit(LinearModel(design, observed, sigma, prior), np.ones(20, np.bool_), ALARMLESS)
+    estimate = consistent_fit(LinearModel(design, observed, sigma, prior), np.ones(20, np.bool_), ALARMLESS)
     more = np.vstack((design, np.eye(4)[[1, 3]]))
     expected = fit(more, np.append(observed, [0.0, 0.0]), np.append(sigma, [0.5, 2.0]), ALARMLESS)
-    np.testing.assert_allclose(found.value, expected.value, rtol=1e-9)
-    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9)
-    assert found.chi_squared == pytest.approx(expected.chi_squared)
-    assert found.degrees == expected.degrees == 18
+    np.testing.assert_allclose(estimate.value, expected.value, rtol=1e-9)
+    np.testing.assert_allclose(estimate.covariance, expected.covariance, rtol=1e-9)
+    assert estimate.chi_squared == pytest.approx(expected.chi_squared)
+    assert estimate.degrees == expected.degrees == 18
 
 
 def test_false_alarms_come_as_often_as_was_asked_for():
@@ -99,7 +99,7 @@ def lines_of_sight(angles: list[tuple[float, float]]) -> np.ndarray:
     )
 
 
-def test_two_wrong_rows_that_hide_behind_one_another_go_and_the_right_ones_stay():
+def test_two_wrong_rows_that_mask_one_another_are_excluded_and_the_right_ones_stay():
     """Over many such skies: where no more than two are wrong, and by a lot, no other rows go with them."""
     tried = 0
     for seed in range(200):
@@ -113,12 +113,12 @@ def test_two_wrong_rows_that_hide_behind_one_another_go_and_the_right_ones_stay(
         if not fit(design[2:], observed[2:], sigma[2:], 1e-4).used.all():
             continue
         tried += 1
-        found = fit(design, observed, sigma, 1e-4)
-        assert found.status == OK
-        assert found.used.sum() >= len(chosen) - 2, f"seed {seed}"
-        if found.used[2:].all():
-            miss = found.value - truth
-            assert miss @ np.linalg.solve(found.covariance, miss) < chi2.isf(1e-6, 4)
+        estimate = fit(design, observed, sigma, 1e-4)
+        assert estimate.status == OK
+        assert estimate.used.sum() >= len(chosen) - 2, f"seed {seed}"
+        if estimate.used[2:].all():
+            miss = estimate.value - truth
+            assert miss @ np.linalg.solve(estimate.covariance, miss) < chi2.isf(1e-6, 4)
     assert tried > 150
 
 
@@ -130,9 +130,9 @@ def test_what_goes_is_the_fewest_that_have_to_go(count):
         design, observed, sigma, _ = problem(seed, n=12)
         wrong = rng.permutation(12)[:count]
         observed[wrong] += rng.choice([-1.0, 1.0]) * 12.0 * sigma[wrong]
-        found = fit(design, observed, sigma)
-        left_out = 12 - int(found.used.sum())
-        if found.status != OK or left_out < 2:
+        estimate = fit(design, observed, sigma)
+        left_out = 12 - int(estimate.used.sum())
+        if estimate.status != OK or left_out < 2:
             continue
         for rows in combinations(range(12), left_out - 1):
             kept = np.ones(12, np.bool_)
@@ -147,24 +147,24 @@ def test_rows_that_are_wrong_by_many_sigma_go_and_no_others(count):
         rng = np.random.default_rng(1000 + seed)
         wrong = rng.choice(20, count, replace=False)
         observed[wrong] += rng.choice([-1.0, 1.0], count) * rng.uniform(40.0, 400.0, count)
-        found = fit(design, observed, sigma, 1e-4)
-        assert found.status == OK
-        assert np.flatnonzero(~found.used).tolist() == sorted(wrong.tolist())
+        estimate = fit(design, observed, sigma, 1e-4)
+        assert estimate.status == OK
+        assert np.flatnonzero(~estimate.used).tolist() == sorted(wrong.tolist())
 
 
 def test_the_row_that_goes_is_the_leave_one_out_that_fits_best():
     for seed in range(50):
         design, observed, sigma, _ = problem(seed, n=9)
         observed[seed % 9] += 12.0 * sigma[seed % 9]
-        found = fit(design, observed, sigma, 1e-3)
-        if found.used.sum() != 8:
+        estimate = fit(design, observed, sigma, 1e-3)
+        if estimate.used.sum() != 8:
             continue
         chi_squared = []
         for k in range(9):
             rest = np.arange(9) != k
             chi_squared.append(fit(design[rest], observed[rest], sigma[rest], ALARMLESS).chi_squared)
-        assert int(np.argmin(chi_squared)) == int(np.flatnonzero(~found.used)[0])
-        assert found.chi_squared == pytest.approx(min(chi_squared))
+        assert int(np.argmin(chi_squared)) == int(np.flatnonzero(~estimate.used)[0])
+        assert estimate.chi_squared == pytest.approx(min(chi_squared))
 
 
 def test_whatever_is_left_out_would_contradict_what_stays():
@@ -175,46 +175,48 @@ def test_whatever_is_left_out_would_contradict_what_stays():
         design[1] = design[0] + 0.05
         observed[:2] += 1.0 + seed % 25
         alarm = 0.1 if seed % 2 else 1e-4
-        found = fit(design, observed, sigma, alarm)
-        if found.status != OK:
+        estimate = fit(design, observed, sigma, alarm)
+        if estimate.status != OK:
             continue
         consistent += 1
-        for k in np.flatnonzero(~found.used):
-            with_it = found.used.copy()
+        for k in np.flatnonzero(~estimate.used):
+            with_it = estimate.used.copy()
             with_it[k] = True
             again = fit(design, observed, sigma, alarm, with_it)
-            variance = sigma[k] ** 2 + design[k] @ found.covariance @ design[k]
-            unlikely = 12 * math.erfc(math.sqrt(0.5 * found.residual[k] ** 2 / variance)) < alarm
+            variance = sigma[k] ** 2 + design[k] @ estimate.covariance @ design[k]
+            unlikely = 12 * math.erfc(math.sqrt(0.5 * estimate.residual[k] ** 2 / variance)) < alarm
             assert unlikely or not again.used[with_it].all()
-        of_used = fit(design, observed, sigma, ALARMLESS, found.used)
-        np.testing.assert_allclose(found.value, of_used.value, rtol=1e-9)
-        assert (found.chi_squared, found.degrees) == pytest.approx((of_used.chi_squared, of_used.degrees))
+        of_used = fit(design, observed, sigma, ALARMLESS, estimate.used)
+        np.testing.assert_allclose(estimate.value, of_used.value, rtol=1e-9)
+        assert (estimate.chi_squared, estimate.degrees) == pytest.approx(
+            (of_used.chi_squared, of_used.degrees)
+        )
     assert consistent > 100
 
 
 def test_with_one_degree_of_freedom_a_fault_is_seen_and_not_blamed_on_a_row():
     design, observed, sigma, _ = problem(3, n=5)
     observed[2] += 1000.0
-    found = fit(design, observed, sigma)
-    assert (found.status, found.degrees) == (INCONSISTENT, 1)
+    estimate = fit(design, observed, sigma)
+    assert (estimate.status, estimate.degrees) == (INCONSISTENT, 1)
 
 
 def test_more_than_half_of_the_rows_never_go():
     design, observed, sigma, _ = problem(4)
     observed += np.random.default_rng(4).uniform(-1e3, 1e3, 20)
-    found = fit(design, observed, sigma)
-    assert found.status == INCONSISTENT
-    assert found.used.sum() >= 10
+    estimate = fit(design, observed, sigma)
+    assert estimate.status == INCONSISTENT
+    assert estimate.used.sum() >= 10
 
 
 def test_without_redundancy_nothing_is_tested():
     design, observed, sigma, _ = problem(5, n=4)
     observed[0] += 1e6
-    found = fit(design, observed, sigma)
-    assert (found.status, found.degrees) == (OK, 0)
+    estimate = fit(design, observed, sigma)
+    assert (estimate.status, estimate.degrees) == (OK, 0)
 
 
-def test_too_few_rows_and_rows_that_tell_nothing_apart_are_said():
+def test_too_few_and_degenerate_rows_have_a_status():
     design, observed, sigma, _ = problem(6, n=3)
     assert fit(design, observed, sigma).status == TOO_FEW
     assert fit(design[:0], observed[:0], sigma[:0]).status == TOO_FEW
@@ -227,11 +229,11 @@ def test_too_few_rows_and_rows_that_tell_nothing_apart_are_said():
 def test_an_unknown_that_no_row_has_is_not_known_and_the_others_are():
     design, observed, sigma, _ = problem(7)
     wide = np.insert(design, 2, 0.0, axis=1)
-    found, expected = fit(wide, observed, sigma), fit(design, observed, sigma)
-    assert np.isnan(found.value[2])
-    assert np.isnan(found.covariance[2]).all()
-    np.testing.assert_allclose(np.delete(found.value, 2), expected.value, rtol=1e-9)
-    assert found.degrees == expected.degrees
+    estimate, expected = fit(wide, observed, sigma), fit(design, observed, sigma)
+    assert np.isnan(estimate.value[2])
+    assert np.isnan(estimate.covariance[2]).all()
+    np.testing.assert_allclose(np.delete(estimate.value, 2), expected.value, rtol=1e-9)
+    assert estimate.degrees == expected.degrees
 
 
 def test_the_horizontal_dilution_is_that_of_the_unweighted_geometry():

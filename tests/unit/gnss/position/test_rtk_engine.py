@@ -1,4 +1,4 @@
-"""The engine on simulated receivers: right in the open, never wrong-looking right where something is amiss."""
+"""The engine on simulated receivers: right in the open, never wrong-looking right where something is wrong."""
 
 import functools
 from dataclasses import replace
@@ -142,11 +142,11 @@ def test_a_receivers_clock_error_moves_its_time_and_nothing_else(clock_ms):
     np.testing.assert_allclose(after.position_ecef_m, before.position_ecef_m, atol=2e-3)
 
 
-def test_a_step_of_the_receivers_clock_is_told_and_breaks_nothing():
+def test_a_step_of_the_receivers_clock_is_reported_and_breaks_nothing():
     d = drive()
     step_m = 1e-3 * SPEED_OF_LIGHT_M_S
     engine = engine_of(d)
-    said = []
+    solved_epochs = []
     for k, (rover, base) in enumerate(zip(d.rover, d.base, strict=True)):
         if k >= 4:
             cycles = step_m / wavelengths_m(rover)
@@ -157,9 +157,9 @@ def test_a_step_of_the_receivers_clock_is_told_and_breaks_nothing():
                 time_ns=rover.time_ns + 1_000_000,
             )
         engine.add_base(base)
-        said.append(engine.solve(rover))
-    assert [s.quality for s in said] == ["fixed"] * len(said)
-    assert [s.continuity for s in said][1:] == ["continuous"] * (len(said) - 1)
+        solved_epochs.append(engine.solve(rover))
+    assert [s.quality for s in solved_epochs] == ["fixed"] * len(solved_epochs)
+    assert [s.continuity for s in solved_epochs][1:] == ["continuous"] * (len(solved_epochs) - 1)
     assert engine.warnings == {"rover_clock_step": 1}
 
 
@@ -194,7 +194,7 @@ def test_without_a_base_the_receiver_stands_alone():
     ("age_s", "quality"), [(-5.0, "fixed"), (4.0, "fixed"), (10.5, "single"), (-11.0, "single")]
 )
 def test_a_base_is_used_within_the_age_limit_before_and_after(age_s, quality):
-    """The base of another time, told as it is: of the drive's own seconds, or too far away."""
+    """The base of another time, labelled as such: of the drive's own seconds, or too far away."""
     d = drive()
     k = 6 if age_s > 0 else 1
     at = k - round(age_s)
@@ -243,19 +243,19 @@ def test_epochs_that_come_late_or_twice_are_refused_and_disturb_nothing():
     d = drive()
     engine = engine_of(d)
     order = [0, 1, 2, 1, 3, 3, 4]
-    said = []
+    solved_epochs = []
     for k in order:
         engine.add_base(d.base[k])
-        said.append(engine.solve(d.rover[k]))
-    assert [s.reason for s in said] == ["resolved"] * 3 + [
+        solved_epochs.append(engine.solve(d.rover[k]))
+    assert [s.reason for s in solved_epochs] == ["resolved"] * 3 + [
         "out_of_order",
         "resolved",
         "out_of_order",
         "resolved",
     ]
-    assert [s.continuity for s in said if s.quality == "fixed"][1:] == ["continuous"] * 4
+    assert [s.continuity for s in solved_epochs if s.quality == "fixed"][1:] == ["continuous"] * 4
     assert engine.warnings == {"rover_out_of_order": 2, "base_out_of_order": 2}
-    assert said[3].position_ecef_m is None
+    assert solved_epochs[3].position_ecef_m is None
 
 
 def test_a_receiver_whose_time_went_back_is_followed_after_three_epochs():
@@ -263,11 +263,11 @@ def test_a_receiver_whose_time_went_back_is_followed_after_three_epochs():
     engine = engine_of(d)
     engine.add_base(d.base[0])
     assert engine.solve(seconds_later(d.rover[0], 604_800.0)).quality in ("single", "none")
-    said = []
+    solved_epochs = []
     for k in range(1, 6):
         engine.add_base(d.base[k])
-        said.append(engine.solve(d.rover[k]))
-    assert [s.reason for s in said] == ["out_of_order"] * 2 + ["resolved"] * 3
+        solved_epochs.append(engine.solve(d.rover[k]))
+    assert [s.reason for s in solved_epochs] == ["out_of_order"] * 2 + ["resolved"] * 3
     assert engine.warnings["rover_time_went_back"] == 1
 
 
@@ -336,14 +336,14 @@ def test_a_base_without_phases_gives_a_float_position():
     assert np.linalg.norm(solution.position_ecef_m - drive().true_ecef_m[2]) < 3.0
 
 
-def test_half_cycles_that_are_told_are_no_phases():
+def test_flagged_half_cycles_are_no_phases():
     rover, base = drive().rover[2], drive().base[2]
     every = np.ones(rover.satellite.size, np.bool_)
     assert one(replace(rover, half_cycle=every), base).quality == "float"
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_half_cycles_that_nobody_tells_never_make_a_wrong_fix(seed):
+def test_unflagged_half_cycles_never_make_a_wrong_fix(seed):
     d = drive()
     rng = np.random.default_rng(seed)
     for rover, base, truth in zip(d.rover, d.base, d.true_ecef_m, strict=True):

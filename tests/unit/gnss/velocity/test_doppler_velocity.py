@@ -75,13 +75,13 @@ def test_of_a_moving_car_velocities_are_centimetres_a_second_off_and_their_covar
     for seed in range(1, 4):
         epochs, truth, store = circle(seed)
         for epoch, true in zip(epochs, truth, strict=True):
-            found = velocity_of(epoch, store)
-            assert found.status == "ok"
-            error = found.velocity_enu_m_s - true
+            velocity_ = velocity_of(epoch, store)
+            assert velocity_.status == "ok"
+            error = velocity_.velocity_enu_m_s - true
             errors.append(math.hypot(error[0], error[1]))
-            nees.append(error @ np.linalg.solve(found.covariance_enu_m2_s2, error))
-            chi_squared += found.chi_squared
-            degrees += found.degrees
+            nees.append(error @ np.linalg.solve(velocity_.covariance_enu_m2_s2, error))
+            chi_squared += velocity_.chi_squared
+            degrees += velocity_.degrees
     assert np.quantile(errors, 0.95) < 0.05
     assert 1.5 < np.mean(nees) < 4.5
     assert 0.5 < chi_squared / degrees < 1.5
@@ -125,8 +125,8 @@ def test_a_range_rate_is_the_difference_of_ranges():
     for k in range(satellites.size):
         direction = np.empty(3)
         standing, slope = range_rate_m_s(states.position_m[k], states.velocity_m_s[k], place, direction)
-        found = standing - direction @ velocity / slope
-        assert found == pytest.approx(expected[k], abs=1e-5), satellite_name(satellites[k])
+        velocity_ = standing - direction @ velocity / slope
+        assert velocity_ == pytest.approx(expected[k], abs=1e-5), satellite_name(satellites[k])
 
 
 def test_the_drift_of_the_receivers_clock_is_separated():
@@ -138,9 +138,9 @@ def test_the_drift_of_the_receivers_clock_is_separated():
     carrier = np.array([carrier_hz(system, signal) for system, signal in names])
     # A receiver's clock that gains makes all pseudoranges grow: Doppler goes down.
     fast = replace(epochs[0], doppler_hz=epochs[0].doppler_hz - 25.0 * carrier / SPEED_OF_LIGHT_M_S)
-    found = velocity_of(fast, store)
-    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-6)
-    assert found.clock_drift_m_s - straight.clock_drift_m_s == pytest.approx(25.0, abs=1e-6)
+    velocity_ = velocity_of(fast, store)
+    np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-6)
+    assert velocity_.clock_drift_m_s - straight.clock_drift_m_s == pytest.approx(25.0, abs=1e-6)
 
 
 def test_the_rate_of_a_satellites_clock_is_taken_off():
@@ -155,11 +155,11 @@ def test_the_rate_of_a_satellites_clock_is_taken_off():
         carrier_hz(name[0], signal_name(c)) * 1e-9 if s == single.satellite[chosen] else 0.0
         for s, c in zip(epochs[0].satellite, epochs[0].signal, strict=True)
     ]
-    found = doppler_velocity(
+    velocity_ = doppler_velocity(
         replace(epochs[0], doppler_hz=epochs[0].doppler_hz + of_satellite),
         replace(single, states=single.states._replace(clock_rate=rate)),
     )
-    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
+    np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
 
 
 def test_of_two_codes_of_a_band_the_one_with_the_better_carrier_to_noise_counts():
@@ -171,8 +171,8 @@ def test_of_two_codes_of_a_band_the_one_with_the_better_carrier_to_noise_counts(
     twice = replace(
         twice, doppler_hz=twice.doppler_hz + 300.0 * worse, cn0_dbhz=twice.cn0_dbhz - 10.0 * worse
     )
-    found = velocity_of(twice, store)
-    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
+    velocity_ = velocity_of(twice, store)
+    np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
 
 
 @settings(derandomize=True, max_examples=20, deadline=None)
@@ -181,17 +181,17 @@ def test_the_order_of_rows_does_not_matter(order):
     epochs, _, store = circle(3)
     rows = np.arange(epochs[4].satellite.size)
     straight = velocity_of(epochs[4], store)
-    found = velocity_of(rows_of(epochs[4], np.concatenate([rows[k::9] for k in order])), store)
-    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
+    velocity_ = velocity_of(rows_of(epochs[4], np.concatenate([rows[k::9] for k in order])), store)
+    np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
 
 
 def test_rows_given_twice_count_once():
     epochs, _, store = circle(3)
     rows = np.arange(epochs[4].satellite.size)
     straight = velocity_of(epochs[4], store)
-    found = velocity_of(rows_of(epochs[4], np.concatenate((rows, rows))), store)
-    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-12)
-    np.testing.assert_allclose(found.covariance_enu_m2_s2, straight.covariance_enu_m2_s2, rtol=1e-9)
+    velocity_ = velocity_of(rows_of(epochs[4], np.concatenate((rows, rows))), store)
+    np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-12)
+    np.testing.assert_allclose(velocity_.covariance_enu_m2_s2, straight.covariance_enu_m2_s2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("error_m_s", [0.5, -3.0, 400.0])
@@ -201,9 +201,9 @@ def test_a_wrong_satellite_is_left_out_and_named(error_m_s):
         straight = velocity_of(epochs[9], store)
         for satellite in satellites(epochs[9], store, straight.used)[::5]:
             late = np.where(epochs[9].satellite == satellite, error_m_s / 0.19, 0.0)
-            found = velocity_of(replace(epochs[9], doppler_hz=epochs[9].doppler_hz + late), store)
-            assert satellites(epochs[9], store, found.excluded) == [satellite]
-            assert np.abs(found.velocity_enu_m_s - truth[9]).max() < 0.2
+            velocity_ = velocity_of(replace(epochs[9], doppler_hz=epochs[9].doppler_hz + late), store)
+            assert satellites(epochs[9], store, velocity_.excluded) == [satellite]
+            assert np.abs(velocity_.velocity_enu_m_s - truth[9]).max() < 0.2
 
 
 def test_two_wrong_satellites_are_left_out_and_named():
@@ -211,8 +211,8 @@ def test_two_wrong_satellites_are_left_out_and_named():
     straight = velocity_of(epochs[9], store)
     two = satellites(epochs[9], store, straight.used)[2:-2:15]
     late = np.where(np.isin(epochs[9].satellite, two), 10.0, 0.0)
-    found = velocity_of(replace(epochs[9], doppler_hz=epochs[9].doppler_hz + late), store)
-    assert satellites(epochs[9], store, found.excluded) == two
+    velocity_ = velocity_of(replace(epochs[9], doppler_hz=epochs[9].doppler_hz + late), store)
+    assert satellites(epochs[9], store, velocity_.excluded) == two
 
 
 def test_without_doppler_without_satellites_or_without_a_position_there_is_no_velocity():
@@ -228,10 +228,10 @@ def test_without_doppler_without_satellites_or_without_a_position_there_is_no_ve
         single_point(epoch, store),
     )
     assert three.status == "too_few"
-    for found in (blind, three):
-        assert np.isnan(found.velocity_enu_m_s).all()
-        assert np.isnan(found.hdop)
-        assert not found.used.any()
+    for velocity_ in (blind, three):
+        assert np.isnan(velocity_.velocity_enu_m_s).all()
+        assert np.isnan(velocity_.hdop)
+        assert not velocity_.used.any()
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
@@ -243,13 +243,13 @@ def test_whatever_an_epoch_holds_nothing_is_raised(random, count):
     wild = np.array([np.nan, np.inf, -np.inf, 0.0, 1e30, -9e4, 5e3])
     doppler = np.where(rng.random(count) < rng.random(), rng.choice(wild, count), epoch.doppler_hz)
     level = np.where(rng.random(count) < 0.2, rng.choice([np.nan, np.inf, -1e9, 0.0], count), epoch.cn0_dbhz)
-    found = velocity_of(replace(epoch, doppler_hz=doppler, cn0_dbhz=level), store)
-    if found.status == "ok":
-        assert np.isfinite(found.velocity_enu_m_s).all()
-        assert np.isfinite(found.covariance_enu_m2_s2).all()
-        assert math.isfinite(found.clock_drift_m_s)
+    velocity_ = velocity_of(replace(epoch, doppler_hz=doppler, cn0_dbhz=level), store)
+    if velocity_.status == "ok":
+        assert np.isfinite(velocity_.velocity_enu_m_s).all()
+        assert np.isfinite(velocity_.covariance_enu_m2_s2).all()
+        assert math.isfinite(velocity_.clock_drift_m_s)
     else:
-        assert np.isnan(found.velocity_enu_m_s).all()
+        assert np.isnan(velocity_.velocity_enu_m_s).all()
 
 
 @pytest.mark.parametrize("systems", ["GJEC", "GJ"])
@@ -263,8 +263,8 @@ def test_on_a_rooftop_95_of_100_velocities_are_within_5_cm_a_second_of_zero(syst
         store.add(e)
     epochs = read_observations(folder / "rover.obs").epochs
     wanted = [ord(c) for c in systems]
-    found = [velocity_of(rows_of(e, np.isin(e.satellite >> 8, wanted)), store) for e in epochs]
-    assert len(found) == 301
-    assert all(f.status == "ok" and not f.excluded.any() for f in found)
-    speeds = [np.linalg.norm(f.velocity_enu_m_s) for f in found]
+    velocity_ = [velocity_of(rows_of(e, np.isin(e.satellite >> 8, wanted)), store) for e in epochs]
+    assert len(velocity_) == 301
+    assert all(f.status == "ok" and not f.excluded.any() for f in velocity_)
+    speeds = [np.linalg.norm(f.velocity_enu_m_s) for f in velocity_]
     assert np.quantile(speeds, 0.95) < 0.05

@@ -66,9 +66,9 @@ def drive(seed: int, duration_s: float, speed_m_s: float) -> tuple[list[float], 
             east, north = speed_m_s * math.cos(yaw) + noise[0], speed_m_s * math.sin(yaw) + noise[1]
             filter_.add_velocity(BEGIN_NS + k * 20_000_000, plane(east, north), speed_m_s)
         if t > 2.0:
-            found = known(filter_, t)
-            errors.append(angle_difference(found.heading_rad, heading_from_yaw(yaw)))
-            normalised.append(errors[-1] / found.heading_sigma_rad)
+            estimate = known(filter_, t)
+            errors.append(angle_difference(estimate.heading_rad, heading_from_yaw(yaw)))
+            normalised.append(errors[-1] / estimate.heading_sigma_rad)
         yaw += yaw_rate / 50
     return errors, normalised
 
@@ -105,19 +105,19 @@ def test_a_yaw_rate_to_the_left_turns_the_heading_anticlockwise():
     velocity(filter_, 0.0, math.radians(90.0), 10.0)
     for k in range(1, 51):
         filter_.add_yaw_rate(BEGIN_NS + k * 20_000_000, 0.5)
-    found = known(filter_, 1.0)
-    assert found.rate_rad_s == pytest.approx(-0.5, abs=0.01)
-    assert found.heading_rad == pytest.approx(math.radians(90.0) - 0.5, abs=0.02)
+    estimate = known(filter_, 1.0)
+    assert estimate.rate_rad_s == pytest.approx(-0.5, abs=0.01)
+    assert estimate.heading_rad == pytest.approx(math.radians(90.0) - 0.5, abs=0.02)
 
 
-def test_velocities_alone_tell_the_rate():
+def test_velocities_alone_determine_the_rate():
     filter_ = HeadingFilter()
     for k in range(60):
         velocity(filter_, k / 10, 0.3 * k / 10, 10.0)
-    found = known(filter_, 5.9)
-    assert found.rate_rad_s == pytest.approx(0.3, abs=0.01)
-    assert found.rate_sigma_rad_s < 0.3
-    assert found.heading_rad == pytest.approx(0.3 * 5.9, abs=0.005)
+    estimate = known(filter_, 5.9)
+    assert estimate.rate_rad_s == pytest.approx(0.3, abs=0.01)
+    assert estimate.rate_sigma_rad_s < 0.3
+    assert estimate.heading_rad == pytest.approx(0.3 * 5.9, abs=0.005)
 
 
 def test_by_yaw_rates_a_heading_is_kept_as_well_as_they_drift():
@@ -142,15 +142,15 @@ def test_backwards_the_vehicle_points_against_its_velocity():
 
 
 @pytest.mark.parametrize("north_deg", [-0.5, 0.0, 0.5])
-def test_headings_go_round_north_the_short_way(north_deg):
+def test_headings_cross_north_over_the_smaller_angle(north_deg):
     filter_ = HeadingFilter()
     for k in range(40):
         assert (
             velocity(filter_, 0.1 * k, math.radians(north_deg + (1.0 if k % 2 else -1.0)), 10.0) == "accepted"
         )
-    found = known(filter_, 3.9)
-    assert 0.0 <= found.heading_rad < 2.0 * math.pi
-    assert abs(angle_difference(found.heading_rad, math.radians(north_deg))) < math.radians(1.0)
+    estimate = known(filter_, 3.9)
+    assert 0.0 <= estimate.heading_rad < 2.0 * math.pi
+    assert abs(angle_difference(estimate.heading_rad, math.radians(north_deg))) < math.radians(1.0)
 
 
 @pytest.mark.parametrize(
@@ -253,9 +253,9 @@ def test_whatever_comes_a_known_heading_is_a_number_with_a_sigma(steps):
         else:
             filter_.add_velocity(time_ns, plane(a, b, (c, d, c), d), e)
         for when_ns in (time_ns, last_ns):
-            found = filter_.at(when_ns)
-            if found is not None:
-                assert 0.0 <= found.heading_rad < 2.0 * math.pi
-                assert math.isfinite(found.rate_rad_s)
-                assert 0.0 < found.heading_sigma_rad < math.inf
-                assert 0.0 < found.rate_sigma_rad_s < math.inf
+            estimate = filter_.at(when_ns)
+            if estimate is not None:
+                assert 0.0 <= estimate.heading_rad < 2.0 * math.pi
+                assert math.isfinite(estimate.rate_rad_s)
+                assert 0.0 < estimate.heading_sigma_rad < math.inf
+                assert 0.0 < estimate.rate_sigma_rad_s < math.inf
