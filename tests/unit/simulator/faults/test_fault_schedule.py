@@ -13,45 +13,29 @@ from camber.simulator.scenario import ScenarioError, load_scenario
 
 def test_a_fault_acts_from_its_onset_until_before_its_end() -> None:
     time_s = np.array([0.9, 1.0, 1.9, 2.0])
-    assert Jamming(kind="jamming", onset_s=1.0, end_s=2.0, loss_db=3.0).acts(time_s).tolist() == [
-        False,
-        True,
-        True,
-        False,
-    ]
+    jamming = Jamming(kind="jamming", onset_s=1.0, end_s=2.0, loss_db=3.0)
+    assert jamming.acts(time_s).tolist() == [False, True, True, False]
     assert WrongBase(kind="wrong_base", onset_s=1.0).acts(time_s).tolist() == [False, True, True, True]
 
 
-def test_faults_are_found_by_their_kind() -> None:
+def test_faults_are_chosen_by_their_kind() -> None:
     faults = load_scenario("faults").faults
     (base,) = of_kind(faults, WrongBase)
     assert base.east_m == 12.0
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("overrides", "fault", "message"),
     [
-        (
-            ['faults=[{kind="blocked_lidar", onset_s=1.0, share=0.5}]'],
-            "blocked_lidar cannot act, expected a table lidar",
-        ),
-        (
-            ['vehicle="robot"', 'faults=[{kind="changed_load", onset_s=1.0, load_kg=10.0}]'],
-            "changed_load cannot act, expected vehicle = 'car'",
-        ),
-        (
-            ["fleet.vehicles=2", 'faults=[{kind="missing_epochs", onset_s=1.0}]'],
-            "missing_epochs cannot act, expected no table fleet",
-        ),
-        (
-            ['faults=[{kind="dropped_process", onset_s=1.0, end_s=2.0, service="gnss"}]'],
-            "started again at once, expected no end_s",
-        ),
+        ([], 'kind="blocked_lidar", share=0.5', "blocked_lidar cannot act, expected a table lidar"),
+        (['vehicle="robot"'], 'kind="changed_load", load_kg=1.0', "changed_load cannot act, expected vehicle = 'car'"),
+        (["fleet.vehicles=2"], 'kind="missing_epochs"', "missing_epochs cannot act, expected no table fleet"),
+        ([], 'kind="dropped_process", end_s=2.0, service="gnss"', "started again at once, expected no end_s"),
     ],
-)
-def test_a_fault_that_could_not_act_is_refused(overrides: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=re.escape(said)):
-        load_scenario("open-sky", overrides)
+)  # fmt: skip
+def test_a_fault_that_could_not_act_is_refused(overrides: list[str], fault: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        load_scenario("open-sky", [*overrides, f"faults=[{{onset_s=1.0, {fault}}}]"])
 
 
 def tyre(onset_s: float, end_s: float, change_m: float) -> str:
@@ -59,7 +43,7 @@ def tyre(onset_s: float, end_s: float, change_m: float) -> str:
 
 
 @pytest.mark.parametrize(
-    ("faults", "said"),
+    ("faults", "message"),
     [
         ([tyre(1, 9, -0.08), tyre(5, 20, -0.08)], "2 changed_tyre act at 5 s with radius_change_m -0.16"),
         ([tyre(1, 9, -0.1), tyre(1, 20, 0.1), tyre(8, 20, 0.1)], "2 changed_tyre act at 9 s"),
@@ -73,8 +57,8 @@ def tyre(onset_s: float, end_s: float, change_m: float) -> str:
         ),
     ],
 )
-def test_faults_that_act_at_once_keep_the_limits_of_one(faults: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=re.escape(said)) as refused:
+def test_faults_that_act_at_once_keep_the_limits_of_one(faults: list[str], message: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(message)) as refused:
         load_scenario("open-sky", [f"faults=[{', '.join(faults)}]"])
     assert "\n" not in str(refused.value)
 

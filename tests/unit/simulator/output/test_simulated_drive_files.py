@@ -1,4 +1,4 @@
-"""A simulated drive is native files with the truth beside them: consistent, repeatable, with the faults asked for."""
+"""A simulated drive is native files with the truth next to them: consistent, repeatable, with the faults asked for."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.geodesy.local_frame import LocalFrame
+from camber.map_server.elevation import ElevationMap
 from camber.replay.drive_inputs import prepare_drive
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest
@@ -48,15 +49,15 @@ def solutions(folder: Path) -> list[ReceiverSolution]:
 def errors_m(folder: Path, truth: TruthTable) -> dict[int, np.ndarray]:
     """By time: solution less truth, east, north, up."""
     place = {t: k for k, t in enumerate(truth.time_ns.tolist())}
-    found = {}
+    errors = {}
     for solution in solutions(folder):
         k = place.get(solution.time_ns)
         if k is None:
             continue
         frame = LocalFrame(float(truth.latitude_rad[k]), float(truth.longitude_rad[k]), 0.0)
         east, north = frame.east_north_from_geodetic(solution.latitude_rad, solution.longitude_rad, 0.0)
-        found[solution.time_ns] = np.array([east, north, solution.height_m - truth.height_m[k]])
-    return found
+        errors[solution.time_ns] = np.array([east, north, solution.height_m - truth.height_m[k]])
+    return errors
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +86,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make(folder, "open-sky", "duration_s=30.0", f"faults=[{faults}]")
 
 
-def test_every_file_can_be_read_by_its_own_reader(city: Path) -> None:
+def test_every_file_can_be_read_by_its_reader(city: Path) -> None:
     manifest = load_manifest(city / "drive.toml")
     assert manifest.simulated
     assert len(solutions(city)) > 100
@@ -117,21 +118,20 @@ def test_the_truth_is_consistent(city: Path) -> None:
     assert driven_m == pytest.approx(place_m[1:] - place_m[0], abs=0.03)
 
 
-def test_the_vehicle_s_own_tilt_is_near_the_truth_and_not_the_truth(city: Path) -> None:
+def test_the_measured_tilt_is_near_the_truth_and_not_the_truth(city: Path) -> None:
     truth = read_truth(city / "truth.csv", "camber")
-    motion = [
-        m for m in read_motion(city / "motion.csv") if m.pitch_rad is not None and m.roll_rad is not None
-    ]
-    assert len(motion) > 100
-    said = np.array([(m.pitch_rad, m.roll_rad) for m in motion], np.float64)
-    at = np.array([m.time_ns for m in motion]) - truth.time_ns[0]
-    for column, true in zip(said.T, (truth.pitch_rad, truth.roll_rad), strict=True):
+    rows = [(m.time_ns, m.pitch_rad, m.roll_rad) for m in read_motion(city / "motion.csv")]
+    rows = [row for row in rows if None not in row]
+    assert len(rows) > 100
+    at = np.array([time_ns for time_ns, *_ in rows]) - truth.time_ns[0]
+    measured = np.array([angles for _, *angles in rows], np.float64)
+    for column, true in zip(measured.T, (truth.pitch_rad, truth.roll_rad), strict=True):
         off = column - np.interp(at, truth.time_ns - truth.time_ns[0], true)
         assert np.abs(off).max() < np.radians(1.5)
         assert off.std() > np.radians(0.05)
 
 
-def test_right_fixes_are_near_the_truth_and_the_flag_says_which_are_not(city: Path) -> None:
+def test_right_fixes_are_near_the_truth_and_the_flag_marks_those_that_are_not(city: Path) -> None:
     truth = read_truth(city / "truth.csv", "camber")
     assert truth.fix_state is not None
     states = dict(zip(truth.time_ns.tolist(), truth.fix_state.tolist(), strict=True))
@@ -148,7 +148,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
     assert digest(make(tmp_path / "b", "overpass", *short)) == first
     other = digest(make(tmp_path / "a", "overpass", "seed=2", *short))
     same = {name for name in first.keys() & other.keys() if first[name] == other[name]}
-    # When its lines were said, and how long they are, does not depend on what they say.
+    # When its lines were sent, and how long they are, does not depend on their content.
     assert same <= {"receiver_arrivals.csv"}
 
 
@@ -165,52 +165,49 @@ def test_a_wrong_base_moves_all_fixes_alike_and_the_stations_message(faulty: Pat
     # It is the station that is wrong, not the integers.
     assert (truth.more["fix_integers_wrong"][wrong] == 0.0).all()
     decoder = RtcmDecoder(int(truth.time_ns[0]))
-    stations = {
-        item.position_ecef_m
-        for item in decoder.feed((faulty / "base.rtcm").read_bytes())
-        if hasattr(item, "position_ecef_m")
-    }
+    items = decoder.feed((faulty / "base.rtcm").read_bytes())
+    stations = {item.position_ecef_m for item in items if hasattr(item, "position_ecef_m")}
     assert len(stations) == 2
     a, b = (np.array(place) for place in stations)
     assert np.linalg.norm(a - b) == pytest.approx(np.hypot(12.0, 4.0), abs=1e-3)
 
 
-def test_a_clock_that_jumps_repeats_and_falls_silent_is_in_the_receivers_file(faulty: Path) -> None:
+def test_a_clock_that_jumps_repeats_and_stops_is_in_the_receivers_file(faulty: Path) -> None:
     start_ns = load_scenario("open-sky").start_ns
-    said_s = [(solution.time_ns - start_ns) / NS for solution in solutions(faulty)]
+    reported_s = [(solution.time_ns - start_ns) / NS for solution in solutions(faulty)]
     # Ten epochs twice each, and the ten of a second that is dated 3.5 s late: five of them fall into this one.
-    assert sum(13.0 <= s < 14.0 for s in said_s) == 25
-    assert not [s for s in said_s if 16.0 <= s < 18.0]
-    # What is said at 10 s is dated 13.5 s, and comes before what is said at 11 s.
-    assert said_s.index(13.5) < said_s.index(11.0)
+    assert sum(13.0 <= s < 14.0 for s in reported_s) == 25
+    assert not [s for s in reported_s if 16.0 <= s < 18.0]
+    # What is sent at 10 s is dated 13.5 s, and comes before what is sent at 11 s.
+    assert reported_s.index(13.5) < reported_s.index(11.0)
 
 
-def test_what_a_receiver_says_arrives_when_it_is_said_whatever_its_clock_says(
+def test_output_of_a_receiver_arrives_when_it_is_sent_whatever_its_clock(
     faulty: Path, tmp_path: Path
 ) -> None:
     start_ns = load_scenario("open-sky").start_ns
     inputs = prepare_drive(load_manifest(faulty / "drive.toml"), tmp_path)
     decoder = PosDecoder("receiver")
-    heard: dict[int, list[int]] = {}
+    received: dict[int, list[int]] = {}
     observed: dict[int, bytes] = {}
     for arrival in inputs.receiver:
         tenths = round((arrival.receive_time_ns - start_ns) / 1e8)
         data = arrival.message.payload.tobytes()
         if arrival.message.protocol == "pos":
             read = [item for item in decoder.feed(data) if isinstance(item, ReceiverSolution)]
-            heard[tenths] = [round((solution.time_ns - start_ns) / 1e8) for solution in read]
+            received[tenths] = [round((solution.time_ns - start_ns) / 1e8) for solution in read]
         elif arrival.message.stream == "rover":
             observed[tenths] = data
-    # Its clock is 3.5 s ahead for a second from 10 s on: heard as it is said, and at once in order again.
+    # Its clock is 3.5 s ahead for a second from 10 s on: received when sent, and at once in order again.
     for tenths in range(90, 130):
         off = 35 if 100 <= tenths < 110 else 0
-        assert heard[tenths] == [tenths + off]
+        assert received[tenths] == [tenths + off]
         assert observed[tenths].startswith(f"> 2026 03 20 01 30 {(tenths + off) / 10:10.7f}".encode())
-    assert heard[130] == [130, 130]
-    assert not [tenths for tenths in heard if 160 <= tenths < 180]
+    assert received[130] == [130, 130]
+    assert not [tenths for tenths in received if 160 <= tenths < 180]
 
 
-def test_spoofing_leads_away_and_the_wheels_slip_where_the_truth_says_so(faulty: Path) -> None:
+def test_spoofing_leads_away_and_the_wheels_slip_where_the_truth_has_it(faulty: Path) -> None:
     truth = read_truth(faulty / "truth.csv", "camber")
     errors = errors_m(faulty, truth)
     led = [t for t, on in zip(truth.time_ns.tolist(), truth.more["fault_spoofing"], strict=True) if on]
@@ -225,13 +222,11 @@ def test_spoofing_leads_away_and_the_wheels_slip_where_the_truth_says_so(faulty:
 def test_a_wrong_map_is_wrong_where_the_vehicle_drives(faulty: Path) -> None:
     truth = read_truth(faulty / "truth.csv", "camber")
     assert set(truth.more["map_wrong_m"].tolist()) == {0.7}
-    from camber.map_server.elevation import ElevationMap
-
     release = read_release(faulty / "map")
     the_map = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
-    found = the_map.roads(truth.latitude_rad, truth.longitude_rad)
-    off_m = found.elevation_m - truth.more["road_height_m"][found.known]
-    assert len(found.known) > 250
+    roads = the_map.roads(truth.latitude_rad, truth.longitude_rad)
+    off_m = roads.elevation_m - truth.more["road_height_m"][roads.known]
+    assert len(roads.known) > 250
     assert np.median(off_m) == pytest.approx(0.7, abs=0.1)
 
 
@@ -271,16 +266,16 @@ def test_epochs_that_are_missing_have_no_fix_in_the_truth(faulty: Path) -> None:
 
 
 def test_a_robot_is_as_long_as_it_is_and_any_description_can_be_read_back(tmp_path: Path) -> None:
-    words = 'a "bad" street, C:\\\\roads'
-    folder = make(tmp_path / "robot", "open-sky", "vehicle=robot", "duration_s=5.0", f"description='{words}'")
+    text = 'a "bad" street, C:\\\\roads'
+    folder = make(tmp_path / "robot", "open-sky", "vehicle=robot", "duration_s=5.0", f"description='{text}'")
     manifest = load_manifest(folder / "drive.toml")
-    assert manifest.description == words
+    assert manifest.description == text
     assert manifest.surrogates.wheelbase_m == pytest.approx(0.55)
     assert manifest.antenna_height.way == "fixed"
     assert manifest.suspension is None
 
 
-def test_a_receiver_that_says_nothing_is_one_line_and_leaves_an_earlier_drive_alone(
+def test_a_receiver_without_output_is_one_line_and_leaves_an_earlier_drive_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = make(tmp_path / "drive", "open-sky", "duration_s=4.0", "satellites.streams=false")

@@ -1,4 +1,4 @@
-"""A district hangs together: ways lie on roads, rays meet the same roads, days differ where they are said to."""
+"""A district is consistent: routes lie on roads, rays meet the same roads, days differ where they are meant to."""
 
 from __future__ import annotations
 
@@ -6,15 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from camber.simulator.scene import Material, Path
+from camber.simulator.scene import Floats, Material, Path
 from camber.simulator.world.district import KINDS, District, Kind, make_district
 from camber.simulator.world.ray_tracing import ShapeTracer
 
-Floats = NDArray[np.float64]
-
-WAYS = [(kind, name) for kind in KINDS for name in sorted(make_district(kind, 1).layout.routes)]
+ROUTES = [(kind, name) for kind in KINDS for name in sorted(make_district(kind, 1).layout.routes)]
 
 
 @lru_cache
@@ -23,7 +20,7 @@ def district(kind: Kind) -> District:
 
 
 @lru_cache
-def way(kind: Kind, name: str = "default") -> Path:
+def path_of(kind: Kind, name: str = "default") -> Path:
     return district(kind).path(name)
 
 
@@ -36,9 +33,9 @@ def above(path: Path, height_m: float, every: int = 7) -> Floats:
     return np.column_stack((path.east_m, path.north_m, path.up_m + height_m))[::every]
 
 
-@pytest.mark.parametrize(("kind", "name"), WAYS)
-def test_a_way_is_even_smooth_and_on_the_road(kind: Kind, name: str) -> None:
-    path = way(kind, name)
+@pytest.mark.parametrize(("kind", "name"), ROUTES)
+def test_a_path_is_even_smooth_and_on_the_road(kind: Kind, name: str) -> None:
+    path = path_of(kind, name)
     step = np.hypot(np.diff(path.east_m), np.diff(path.north_m))
     np.testing.assert_allclose(step, path.step_m, atol=1e-5)
     curvature = np.gradient(path.yaw_rad, path.step_m)
@@ -53,23 +50,23 @@ def test_a_way_is_even_smooth_and_on_the_road(kind: Kind, name: str) -> None:
     assert np.abs(path.crossfall).max() < 0.08
 
 
-@pytest.mark.parametrize(("kind", "name"), WAYS)
+@pytest.mark.parametrize(("kind", "name"), ROUTES)
 def test_grade_and_crossfall_are_those_of_the_surface(kind: Kind, name: str) -> None:
-    path = way(kind, name)
+    path = path_of(kind, name)
     # The integral of the grade is the height. At creases, where an arc begins on a slope, the grade steps.
     climbed = np.concatenate(([0.0], np.cumsum(0.5 * (path.grade[1:] + path.grade[:-1])))) * path.step_m
     np.testing.assert_allclose(climbed, path.up_m - path.up_m[0], atol=5e-3)
     left_e, left_n = -np.sin(path.yaw_rad), np.cos(path.yaw_rad)
     for side in (-0.5, 0.5):
-        beside = path.surface_m(path.east_m + side * left_e, path.north_m + side * left_n, path.level)
-        np.testing.assert_allclose(beside, path.up_m + side * path.crossfall, atol=4e-3)
+        left = path.surface_m(path.east_m + side * left_e, path.north_m + side * left_n, path.level)
+        np.testing.assert_allclose(left, path.up_m + side * path.crossfall, atol=4e-3)
 
 
-@pytest.mark.parametrize(("kind", "name"), WAYS)
+@pytest.mark.parametrize(("kind", "name"), ROUTES)
 def test_all_wheels_of_a_vehicle_stand_on_the_road_of_its_level(kind: Kind, name: str) -> None:
-    path = way(kind, name)
+    path = path_of(kind, name)
     c, s = np.cos(path.yaw_rad), np.sin(path.yaw_rad)
-    whole = slice(0, -35)  # the front wheels of the last samples are beyond the way's end
+    whole = slice(0, -35)  # the front wheels of the last samples are beyond the path's end
     for ahead, left in ((0.0, 0.85), (0.0, -0.85), (2.9, 0.85), (2.9, -0.85)):
         east = path.east_m + ahead * c - left * s
         north = path.north_m + ahead * s + left * c
@@ -79,8 +76,8 @@ def test_all_wheels_of_a_vehicle_stand_on_the_road_of_its_level(kind: Kind, name
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rays_meet_the_road_that_the_way_lies_on(kind: Kind) -> None:
-    origin = above(way(kind), 2.0)
+def test_rays_meet_the_road_of_the_path(kind: Kind) -> None:
+    origin = above(path_of(kind), 2.0)
     down = np.tile((0.0, 0.0, -1.0), (len(origin), 1))
     hits = tracer(kind).first_hits(origin, down, 30.0)
     np.testing.assert_allclose(hits.distance_m, 2.0, atol=0.02)
@@ -88,9 +85,9 @@ def test_rays_meet_the_road_that_the_way_lies_on(kind: Kind) -> None:
     assert (hits.material == Material.ROAD).mean() > 0.99
 
 
-@pytest.mark.parametrize(("kind", "name"), WAYS)
-def test_nothing_stands_in_the_way(kind: Kind, name: str) -> None:
-    path = way(kind, name)
+@pytest.mark.parametrize(("kind", "name"), ROUTES)
+def test_nothing_stands_on_the_path(kind: Kind, name: str) -> None:
+    path = path_of(kind, name)
     c, s = np.cos(path.yaw_rad), np.sin(path.yaw_rad)
     for left in (-1.0, 0.0, 1.0):
         at = np.column_stack((path.east_m - left * s, path.north_m + left * c, path.up_m + 1.2))
@@ -102,7 +99,7 @@ def test_nothing_stands_in_the_way(kind: Kind, name: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tunnel_is_where_the_sky_is_covered(kind: Kind) -> None:
-    path = way(kind, "tunnel" if kind == "city" else "default")
+    path = path_of(kind, "tunnel" if kind == "city" else "default")
     origin = above(path, 1.5)
     up = np.tile((0.0, 0.0, 1.0), (len(origin), 1))
     covered = tracer(kind).blocked(origin, up, 500.0)
@@ -114,24 +111,19 @@ def test_the_tunnel_is_where_the_sky_is_covered(kind: Kind) -> None:
         middle = inside[len(inside) // 3 : 2 * len(inside) // 3 : 10]
         azimuth = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
         for elevation in (0.2, 0.5, 1.0):
-            sky = np.column_stack(
-                (
-                    np.cos(elevation) * np.cos(azimuth),
-                    np.cos(elevation) * np.sin(azimuth),
-                    np.full(36, np.sin(elevation)),
-                )
-            )
+            plan = np.cos(elevation) * np.column_stack((np.cos(azimuth), np.sin(azimuth)))
+            sky = np.column_stack((plan, np.full(36, np.sin(elevation))))
             seen = tracer(kind).blocked(np.repeat(middle, 36, axis=0), np.tile(sky, (len(middle), 1)), 800.0)
             assert seen.all()
 
 
 def test_a_tunnel_holds_a_vehicle_for_950_seconds() -> None:
-    path = way("tunnel")
+    path = path_of("tunnel")
     assert (path.step_m / path.speed_limit_m_s)[path.tunnel].sum() > 950.0
 
 
 def test_the_overpass_lies_above_the_street() -> None:
-    path = way("overpass")
+    path = path_of("overpass")
     street = (path.level == 0) & (np.hypot(path.east_m - 590.0, path.north_m - 180.0) < 3.0)
     deck = (path.level == 1) & (np.hypot(path.east_m - 590.0, path.north_m - 180.0) < 3.0)
     assert 5.0 < path.up_m[deck].mean() - path.up_m[street].mean() < 6.0
@@ -168,14 +160,14 @@ def test_walls_are_the_sides_of_what_rays_hit(kind: Kind) -> None:
 
 
 def test_traffic_keeps_left() -> None:
-    path = way("city")
+    path = path_of("city")
     turning = np.abs(np.gradient(path.yaw_rad, path.step_m)) > 1e-4
     straight = ~np.convolve(turning, np.ones(201), mode="same").astype(bool)
     assert straight.sum() > 2000
     np.testing.assert_allclose(path.link_offset_m[straight], 1.75, atol=1e-6)
 
 
-def test_a_changed_road_is_higher_by_what_was_said_and_nothing_else_is() -> None:
+def test_a_changed_road_is_higher_by_its_offset_and_nothing_else_is() -> None:
     base = make_district("city", 5, changed_roads={})
     one, other = np.unique(base.path().link_id)[[1, 2]].tolist()
     changed = make_district("city", 5, changed_roads={one: 0.12, other: -0.30})

@@ -33,12 +33,12 @@ def test_place_undoes_going_along_and_across_a_link(
     s = share * float(roads(kind).length_m[link])
     y = across * float(roads(kind).shape[link, HALF_WIDTH])
     east, north, yaw = roads(kind).centre_line(link, np.array([s]))
-    found = roads(kind).place(np.array([link]), east - y * np.sin(yaw), north + y * np.cos(yaw))
-    np.testing.assert_allclose(np.concatenate(found), (s, y), atol=1e-8)
+    at = roads(kind).place(np.array([link]), east - y * np.sin(yaw), north + y * np.cos(yaw))
+    np.testing.assert_allclose(np.concatenate(at), (s, y), atol=1e-8)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_centre_lines_have_length_one_a_metre_and_turn_as_they_say(kind: Kind) -> None:
+def test_centre_lines_have_length_one_a_metre_and_turn_as_their_yaw(kind: Kind) -> None:
     for link in range(len(roads(kind).link_id)):
         s = np.arange(0.0, roads(kind).length_m[link], 0.01)
         east, north, yaw = roads(kind).centre_line(link, s)
@@ -71,7 +71,7 @@ def test_a_surface_has_no_seams_and_no_steps(kind: Kind) -> None:
         assert np.abs(near - up)[both].max() < 0.01 * 0.15  # a slope, not a step
 
 
-def test_beside_a_road_there_is_none_and_above_it_another_level() -> None:
+def test_off_a_road_there_is_none_and_above_it_another_level() -> None:
     made = roads("city")
     east, north = np.array([100.0, 100.0, 590.0, 590.0]), np.array([180.0, 195.0, 180.0, 180.0])
     up = made.surface_m(east, north, np.array([0, 0, 0, 1]))

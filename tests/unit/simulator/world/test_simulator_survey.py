@@ -8,18 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
 from camber.road_map.tile_grid import tile_frame
-from camber.schemas.road import CloudTile
+from camber.schemas.road import CloudTile, Layer
 from camber.simulator.random_streams import stream
+from camber.simulator.scene import Floats
 from camber.simulator.world.district import KINDS, District, Kind, make_district
 from camber.simulator.world.survey import SurveyErrors, write_survey
 from camber.simulator.world.survey_surfaces import ErrorField
 
-Floats = NDArray[np.float64]
 TIME_NS = 1_400_000_000 * 10**9
 EXACT = SurveyErrors(height_sigma_m=1e-9, clouds=False)
 
@@ -108,10 +107,15 @@ def test_links_are_off_but_nowhere_more_than_allowed_and_meet_at_their_nodes(
 
 def in_world(made: District, tile: CloudTile) -> Floats:
     points = tile.quanta.astype(np.float64) * tile.resolution_m
-    own = tile_frame(tile.x, tile.y)
-    latitude, longitude, _ = own.geodetic_from_east_north_array(points[:, :2], np.zeros(len(points)))
+    of_tile = tile_frame(tile.x, tile.y)
+    latitude, longitude, _ = of_tile.geodetic_from_east_north_array(points[:, :2], np.zeros(len(points)))
     plane = made.frame.east_north_from_geodetic_array(latitude, longitude, np.zeros(len(points)))
     return np.column_stack((plane, tile.base_height_m + points[:, 2]))
+
+
+def cloud(made: District, release: Release, layer: Layer) -> Floats:
+    tiles = [release.cloud_tile(layer, x, y) for x, y in release.tiles(layer)]
+    return np.concatenate([in_world(made, tile) for tile in tiles if tile is not None])
 
 
 def test_clouds_are_what_stands_there_on_the_survey_day(tmp_path: Path) -> None:
@@ -119,17 +123,7 @@ def test_clouds_are_what_stands_there_on_the_survey_day(tmp_path: Path) -> None:
     write_survey(tmp_path, made, TIME_NS, SurveyErrors(scan_spacing_m=10.0))
     release = read_release(tmp_path)
     roads = made.roads("survey")
-    clouds = {
-        layer: np.concatenate(
-            [
-                in_world(made, tile)
-                for x, y in release.tiles(layer)
-                if (tile := release.cloud_tile(layer, x, y)) is not None
-            ]
-        )
-        for layer in ("environment_cloud", "road_cloud")
-    }
-    road = clouds["road_cloud"]
+    road, environment = (cloud(made, release, layer) for layer in ("road_cloud", "environment_cloud"))
     assert len(road) > 10_000
     up = roads.surface_m(road[:, 0], road[:, 1], np.zeros(len(road), np.int64))
     off = (road[:, 2] - up)[np.isfinite(up)]
@@ -138,14 +132,11 @@ def test_clouds_are_what_stands_there_on_the_survey_day(tmp_path: Path) -> None:
     assert np.percentile(np.abs(off), 99) < 0.02
     # Points from 12 m above the street, higher than posts and trees, to 30 m lie on the faces of buildings, to the
     # noise of the range.
-    environment = clouds["environment_cloud"]
     height = environment[:, 2] - roads.terrain.height_m(environment[:, 0], environment[:, 1])
     high = environment[(height > 12.0) & (height < 30.0)]
     walls = made.walls()
     away = np.full(len(high), np.inf)
-    for foot, along, length, normal in zip(
-        walls.foot_m, walls.along, walls.length_m, walls.normal, strict=True
-    ):
+    for foot, along, length, _, normal in zip(*walls, strict=True):
         step = high[:, :2] - foot[:2]
         beyond = np.maximum(np.maximum(-(step @ along), step @ along - length), 0.0)
         away = np.minimum(away, np.hypot(beyond, step @ normal))
@@ -159,13 +150,7 @@ def test_voxels_hold_one_point_each(tmp_path: Path) -> None:
     write_survey(tmp_path, made, TIME_NS, SurveyErrors(scan_spacing_m=10.0, voxel_m=0.5))
     release = read_release(tmp_path)
     # In the world frame, in which they were thinned; points near the border of a voxel may be rounded over it.
-    points = np.concatenate(
-        [
-            in_world(made, t)
-            for x, y in release.tiles("road_cloud")
-            if (t := release.cloud_tile("road_cloud", x, y))
-        ]
-    )
+    points = cloud(made, release, "road_cloud")
     inner = points[(np.abs(points / 0.5 - np.rint(points / 0.5)) > 0.02).all(axis=1)]
     whole = np.unique(np.rint(inner * 1000), axis=0)  # a point within 1 m of two tiles stands in both
     assert len(np.unique(np.floor(whole / 500.0), axis=0)) > 0.98 * len(whole)
@@ -187,9 +172,8 @@ def test_only_what_is_seen_from_a_route_is_scanned_where_one_is_named(tmp_path: 
     for k, route in enumerate((None, "ramp")):
         write_survey(tmp_path / str(k), made, TIME_NS, SurveyErrors(scan_spacing_m=40.0), scanned_route=route)
         release = read_release(tmp_path / str(k))
-        sizes.append(
-            sum(len(release.blob("road_cloud", x, y) or b"") for x, y in release.tiles("road_cloud"))
-        )
+        blobs = [release.blob("road_cloud", x, y) or b"" for x, y in release.tiles("road_cloud")]
+        sizes.append(sum(map(len, blobs)))
     assert 0 < sizes[1] < 0.6 * sizes[0]
     with pytest.raises(KeyError):
         write_survey(tmp_path / "none", made, TIME_NS, scanned_route="nowhere")

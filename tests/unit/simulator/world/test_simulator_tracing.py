@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from camber.simulator.scene import Material, Shapes
+from camber.simulator.scene import Floats, Material, Shapes
 from camber.simulator.world.ray_tracing import ShapeTracer
-
-Floats = NDArray[np.float64]
 
 
 def unit(vectors: Floats) -> Floats:
@@ -42,7 +39,7 @@ def random_rays(rng: np.random.Generator, count: int, extent_m: float = 90.0) ->
     return origin, unit(direction)
 
 
-# -- an oracle of its own kind: half spaces, quadrics and planes, over all shapes at once ----------------------------
+# -- an independent oracle: half spaces, quadrics and planes, over all shapes at once ----------------------------
 
 
 def oracle_spans(shapes: Shapes, origin: Floats, direction: Floats) -> dict[str, tuple[Floats, Floats]]:
@@ -64,13 +61,10 @@ def oracle_spans(shapes: Shapes, origin: Floats, direction: Floats) -> dict[str,
         spans["boxes"] = half_spaces(normal, offset, origin, direction)
         cylinders = shapes.cylinders_m
         caps = np.tile(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), (len(cylinders), 1, 1))
-        low, high = half_spaces(
-            caps, np.column_stack((cylinders[:, 2] + cylinders[:, 4], -cylinders[:, 2])), origin, direction
-        )
-        scale = np.array([1.0, 1.0, 0.0])
-        side = quadric(
-            cylinders[:, :3], cylinders[:, 3], np.tile(scale, (len(cylinders), 1)), origin, direction
-        )
+        ends = np.column_stack((cylinders[:, 2] + cylinders[:, 4], -cylinders[:, 2]))
+        low, high = half_spaces(caps, ends, origin, direction)
+        scale = np.tile(np.array([1.0, 1.0, 0.0]), (len(cylinders), 1))
+        side = quadric(cylinders[:, :3], cylinders[:, 3], scale, origin, direction)
         spans["cylinders"] = np.maximum(low, side[0]), np.minimum(high, side[1])
         crowns = shapes.crowns_m
         stretch = np.column_stack((np.ones((len(crowns), 2)), crowns[:, 3] / crowns[:, 4]))
@@ -161,12 +155,12 @@ def test_normals_are_unit_vectors_towards_the_origin_and_square_to_the_surface(s
     np.testing.assert_allclose(np.linalg.norm(hits.normal[met], axis=1), 1.0, atol=1e-12)
     assert not hits.normal[~met].any()
     assert (np.sum(hits.normal * direction, axis=1)[met] <= 0.0).all()
-    # The surface near the hit, by two other rays through points beside it: their difference is square to the normal.
+    # The surface near the hit, by two other rays through points next to it: their difference is square to the normal.
     at = origin[met] + hits.distance_m[met, None] * direction[met]
     for k in range(2):
-        beside = unit(direction[met] + 1e-6 * rng.standard_normal((len(at), 3)))
-        other = tracer.first_hits(origin[met], beside, 200.0)
-        step = origin[met] + other.distance_m[:, None] * beside - at
+        near_by = unit(direction[met] + 1e-6 * rng.standard_normal((len(at), 3)))
+        other = tracer.first_hits(origin[met], near_by, 200.0)
+        step = origin[met] + other.distance_m[:, None] * near_by - at
         near = np.linalg.norm(step, axis=1) < 0.01
         slip = np.abs(np.sum(step[near] * hits.normal[met][near], axis=1))
         # Rounded shapes bend away by step² / 2r; at the edge of a box the other ray may meet another face.
@@ -185,9 +179,8 @@ def test_metres_of_crowns_are_those_of_points_counted_along_the_ray(seed: int) -
         p = origin[i] + steps[:, None] * direction[i]
         inside = np.zeros(len(steps), bool)
         for e, n, up, horizontal, vertical in crowns:
-            inside |= (
-                ((p[:, 0] - e) ** 2 + (p[:, 1] - n) ** 2) / horizontal**2 + (p[:, 2] - up) ** 2 / vertical**2
-            ) < 1.0
+            plan2 = ((p[:, 0] - e) ** 2 + (p[:, 1] - n) ** 2) / horizontal**2
+            inside |= plan2 + (p[:, 2] - up) ** 2 / vertical**2 < 1.0
         counted[i] = inside.sum() * 0.01
     assert (counted > 5.0).sum() > 10
     metres = ShapeTracer(shapes).through_crowns_m(origin, direction, 60.0)
@@ -336,15 +329,8 @@ def test_two_threads_get_what_one_gets() -> None:
     tracer = ShapeTracer(random_shapes(rng, 50))
     origin, direction = random_rays(rng, 20_000)
     alone = tracer.first_hits(origin, direction, 100.0).distance_m
-    parts: dict[int, Floats] = {}
-
-    def work(k: int) -> None:
-        parts[k] = tracer.first_hits(origin[k::2], direction[k::2], 100.0).distance_m
-
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(2) as pool:
+        halves = [pool.submit(tracer.first_hits, origin[k::2], direction[k::2], 100.0) for k in range(2)]
+        parts = [half.result().distance_m for half in halves]
     np.testing.assert_array_equal(parts[0], alone[0::2])
     np.testing.assert_array_equal(parts[1], alone[1::2])

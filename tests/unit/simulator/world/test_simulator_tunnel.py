@@ -1,4 +1,4 @@
-"""A tunnel has what real ones have: at its walls and ceiling, out of the way, and unknown to radio."""
+"""A tunnel has what real ones have: at its walls and ceiling, off the lanes, and without effect on signals."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from camber.simulator.satellites.propagation import what_blocks
 from camber.simulator.scenario import load_scenario
-from camber.simulator.scene import Material
+from camber.simulator.scene import Floats, Integers, Material
 from camber.simulator.world.district import District, make_district
 from camber.simulator.world.road_mesh import CEILING_M
 from camber.simulator.world.roads import HALF_WIDTH
 from camber.simulator.world.tunnel_fittings import BARE_M, FITTINGS, tunnel_fittings
-
-Floats = NDArray[np.float64]
 
 
 @lru_cache
@@ -25,7 +22,7 @@ def district() -> District:
 
 
 @lru_cache
-def placed() -> tuple[Floats, Floats, NDArray[np.int64], Floats, Floats]:
+def placed() -> tuple[Floats, Floats, Integers, Floats, Floats]:
     """Boxes, but those where tubes join, and of each the distances s and y, its link's row, its base above the road."""
     roads = district().roads("drive")
     boxes = tunnel_fittings(roads, 3)
@@ -41,7 +38,7 @@ def placed() -> tuple[Floats, Floats, NDArray[np.int64], Floats, Floats]:
     return boxes, at, row, left, boxes[:, 2] - roads.link_height_m(row, boxes[:, 0], boxes[:, 1])
 
 
-def test_every_sort_is_there_as_often_as_its_spacing_says() -> None:
+def test_every_sort_is_there_as_often_as_its_spacing_allows() -> None:
     boxes, _, _, _, _ = placed()
     roads = district().roads("drive")
     long_m = float(np.diff(roads.covered_m, axis=1).sum())
@@ -76,7 +73,7 @@ def test_fittings_stay_where_they_are_between_the_days() -> None:
     np.testing.assert_array_equal(*boxes)
 
 
-def test_satellites_signals_know_nothing_of_them() -> None:
+def test_they_do_not_affect_satellites_signals() -> None:
     shapes = district().shapes("drive")
     blocking = what_blocks(shapes)
     assert not (blocking.boxes_material == Material.TUNNEL).any()
