@@ -1,37 +1,36 @@
-"""Evidence from the scenario `faults`: what was said during each fault and after it, and whether it was named."""
+"""Evidence from the scenario `faults`: what the services reported during each fault and after it, and who named it."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from camber.formats.drive.recording import Recorded
 from camber.formats.drive.truth_csv import WRONG_M, TruthTable
-from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import DriveOutput, replay_in_one_process
-from camber.replay.run_folder import RunFacts, drive_facts
+from camber.replay.one_process import DriveOutput
 from camber.schemas.base import Int64
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
-from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.reference_trajectory import truth_of
+from camber.validation.evidence.evaluated_drive import EvaluatedDrive, evaluate_drive
 
 AFTER_S = 15.0
-"""A cause may be named so long after the fault's end, and not later: what lasts has ended."""
+"""Chosen: a cause may be named so long after the fault's end; its effects have ended by then."""
 LASTING_S = 2.0
-"""What was said so short a time before is not said anew: it names what there was before."""
+"""Chosen: an indication repeated within this time is the same one, going on."""
 _PREFIX = "fault_"
 NO_SURFACE = -1
 _SURFACE = re.compile(r"surface (\d+)")
 _OF_LIDAR = ("blocked_lidar", "symmetric_scene")
 _NS = 1e9
+_STATUSES = (("scan_match", "match", "converged"), ("antenna_height", "antenna_height", "known"))
+"""Channel, name in texts, and the status that is usual."""
 
 NAMED_BY: Mapping[str, frozenset[str]] = {
     "wrong_base": frozenset({"cause base", "verdict common_offset"}),
@@ -51,14 +50,14 @@ NAMED_BY: Mapping[str, frozenset[str]] = {
     "missing_epochs": frozenset({"verdict gnss_stale"}),
     "dropped_process": frozenset({"verdict localizer_absent", "verdict gnss_absent"}),
 }
-"""What names a fault: any one of these, begun to be said while it acts or within `AFTER_S`.
+"""What names a fault: any one of these that begins while it acts or within `AFTER_S`.
 
-*Ambiguous* is the right word for a road where one vehicle sees no other before and after it. A road counts as named
-where one of the surfaces is named on which the fault was met.
+*Ambiguous* is right for a road that one vehicle alone has seen before and after. A road counts as named where one of
+the surfaces is named on which the fault was met.
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FaultWindow:
     """When a fault acts, GPS time; one that acts again on the same link has a window for each time."""
 
@@ -69,65 +68,63 @@ class FaultWindow:
 
 def fault_windows(truth: TruthTable) -> list[FaultWindow]:
     """The faults of a simulated drive's truth, in the order of time."""
-    found = []
+    windows = []
     for name, column in truth.more.items():
         if not name.startswith(_PREFIX):
             continue
         acts = np.concatenate(([False], column > 0.0, [False]))
-        edges = np.flatnonzero(np.diff(acts.astype(np.int8)))
-        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            found.append(
-                FaultWindow(
-                    name.removeprefix(_PREFIX), int(truth.time_ns[begin]), int(truth.time_ns[end - 1])
-                )
-            )
-    return sorted(found, key=lambda window: window.begin_ns)
+        edges = np.flatnonzero(np.diff(acts.astype(np.int8))).reshape(-1, 2)
+        for begin_ns, end_ns in truth.time_ns[edges - (0, 1)].tolist():
+            windows.append(FaultWindow(kind=name.removeprefix(_PREFIX), begin_ns=begin_ns, end_ns=end_ns))
+    return sorted(windows, key=lambda window: window.begin_ns)
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class FaultIndication:
-    """A word, and the surface of which it was said where it was said of one."""
+class FaultIndication(NamedTuple):
+    """What may name a fault, and the surface that it names, if any."""
 
     time_ns: int
     text: str
     surface_id: int = NO_SURFACE
 
 
-def indications_of(driven: DriveOutput) -> list[FaultIndication]:
-    """All that may name a fault: words of verdicts, causes, matches, antenna heights, poses, issues."""
-    said: list[FaultIndication] = []
-    for item in driven.recorded.get("verdict", ()):
-        said.append(FaultIndication(item.message.time_ns, f"verdict {item.message.reason}"))
-        if item.message.cause == "road":
-            said.append(FaultIndication(item.message.time_ns, "cause road", item.message.surface_id))
-        elif item.message.cause != "none":
-            said.append(FaultIndication(item.message.time_ns, f"cause {item.message.cause}"))
-    for item in driven.recorded.get("scan_match", ()):
-        if item.message.status != "converged":
-            said.append(FaultIndication(item.message.time_ns, f"match {item.message.status}"))
-    for item in driven.recorded.get("antenna_height", ()):
-        if item.message.status != "known":
-            said.append(FaultIndication(item.message.time_ns, f"antenna_height {item.message.status}"))
-    for item in driven.recorded.get("pose", ()):
-        reasons = item.message.reason.split("; ")
-        said += [FaultIndication(item.message.time_ns, f"pose: {text}") for text in reasons if text]
-    for issue in driven.issues:
-        named = _SURFACE.search(issue.text) if issue.code == "road_changed" else None
-        surface_id = NO_SURFACE if named is None else int(named[1])
-        said.append(FaultIndication(issue.time_ns, f"{issue.service} {issue.code}", surface_id))
-    return sorted(said)
+def indications_of(output: DriveOutput) -> list[FaultIndication]:
+    """All that may name a fault: reasons of verdicts, causes, matches, antenna heights, poses, issues."""
+    indications: list[FaultIndication] = []
+
+    def add(time_ns: int, text: str, surface_id: int = NO_SURFACE) -> None:
+        indications.append(FaultIndication(time_ns, text, surface_id))
+
+    def messages(channel: str) -> Iterator[Any]:
+        return (item.message for item in output.recorded.get(channel, ()))
+
+    for verdict in messages("verdict"):
+        add(verdict.time_ns, f"verdict {verdict.reason}")
+        if verdict.cause != "none":
+            surface_id = verdict.surface_id if verdict.cause == "road" else NO_SURFACE
+            add(verdict.time_ns, f"cause {verdict.cause}", surface_id)
+    for channel, name, usual in _STATUSES:
+        for message in messages(channel):
+            if message.status != usual:
+                add(message.time_ns, f"{name} {message.status}")
+    for pose in messages("pose"):
+        for reason in filter(None, pose.reason.split("; ")):
+            add(pose.time_ns, f"pose: {reason}")
+    for issue in output.issues:
+        surface = _SURFACE.search(issue.text) if issue.code == "road_changed" else None
+        surface_id = NO_SURFACE if surface is None else int(surface[1])
+        add(issue.time_ns, f"{issue.service} {issue.code}", surface_id)
+    return sorted(indications)
 
 
-def during(said: Iterable[FaultIndication], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
-    """What was said from one time to another: how often, and how long after the first time it first began [s].
+def during(indications: Iterable[FaultIndication], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
+    """The indications from one time to another: how often, and how long after the first time each first began [s].
 
-    Without `begun_s` it was said before already, and never began anew. `said` is in the order of time.
+    Without `begun_s` it was there before already, and never began anew. `indications` are in the order of time.
     """
     counts: Counter[str] = Counter()
     begun: dict[str, float] = {}
     last: dict[str, int] = {}
-    for word in said:
-        time_ns, text = word.time_ns, word.text
+    for time_ns, text, _ in indications:
         if begin_ns <= time_ns <= end_ns:
             counts[text] += 1
             if text not in last or time_ns - last[text] > LASTING_S * _NS:
@@ -156,53 +153,44 @@ def run_faults(
     if not lidar:
         there = tuple(fault for fault in made.faults if fault.kind not in _OF_LIDAR)
         made = made.model_copy(update={"lidar": None, "faults": there})
-    drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
-    inputs = prepare_drive(drive, folder / "work")
-    driven = replay_in_one_process(inputs, folder)
-    truth = inputs.truth
-    assert truth is not None  # a simulated drive has one
-    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(truth))
-    said, start_ns = indications_of(driven), inputs.tick_times_ns[0]
-    windows = fault_windows(truth)
-    last_ns = int(truth.time_ns[-1])
-    rows = [
-        _row(window, windows[number + 1 :], last_ns, said, evaluation, driven.recorded["verdict"], start_ns)
-        for number, window in enumerate(windows)
-    ]
+    manifest = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
+    drive = evaluate_drive(manifest, folder)
+    summary, windows = drive.evaluation.summary, fault_windows(drive.truth)
+    indications = indications_of(drive.output)
     return {
         "scenario": scenario,
         "seed": seed,
         "overrides": list(overrides),
         "positions": positions,
-        "sweeps": len(inputs.sweeps),
-        "faults": rows,
-        "confirmed_wrong": evaluation.summary["confirmed"]["wrong"],
-        "wrong": evaluation.summary["tentative"]["wrong"],
-        "right": evaluation.summary["right"]["count"],
-        "right_kept": evaluation.summary["right"]["kept"],
+        "sweeps": len(drive.inputs.sweeps),
+        "faults": [
+            _row(window, windows[number:], drive, indications) for number, window in enumerate(windows, 1)
+        ],
+        "confirmed_wrong": summary["confirmed"]["wrong"],
+        "wrong": summary["tentative"]["wrong"],
+        "right": summary["right"]["count"],
+        "right_kept": summary["right"]["kept"],
     }
 
 
 def _row(
     window: FaultWindow,
     later: Sequence[FaultWindow],
-    last_ns: int,
-    said: Sequence[FaultIndication],
-    evaluation: Evaluation,
-    verdicts: Sequence[Recorded[Any]],
-    start_ns: int,
+    drive: EvaluatedDrive,
+    indications: Sequence[FaultIndication],
 ) -> dict[str, Any]:
+    verdicts, last_ns = drive.output.recorded["verdict"], int(drive.truth.time_ns[-1])
     next_ns = later[0].begin_ns if later else last_ns + 1
     end_ns = named_until_ns(window, later, last_ns)
     after_ns = max(window.end_ns, min(end_ns, next_ns - 1))
-    heard = during(_of_here(said, window, verdicts), window.begin_ns, end_ns)
-    begun_s = {text: found["begun_s"] for text, found in heard.items() if "begun_s" in found}
+    reported = during(_of_surfaces_met(indications, window, verdicts), window.begin_ns, end_ns)
+    begun_s = {text: entry["begun_s"] for text, entry in reported.items() if "begun_s" in entry}
     names = {text: after_s for text, after_s in begun_s.items() if text in NAMED_BY.get(window.kind, ())}
     first = min(names, key=lambda text: names[text], default=None)
+    evaluation, start_ns = drive.evaluation, drive.inputs.tick_times_ns[0]
     acts = _within(evaluation.fixes.time_ns, window.begin_ns, window.end_ns)
-    wrong = np.array([row.time_ns for row in evaluation.rows], dtype=np.int64)[
-        evaluation.confirmed_error_m > WRONG_M
-    ]
+    row_ns = np.array([row.time_ns for row in evaluation.rows], dtype=np.int64)
+    wrong_ns = row_ns[evaluation.confirmed_error_m > WRONG_M]
     return {
         "kind": window.kind,
         "begin_s": (window.begin_ns - start_ns) / _NS,
@@ -211,9 +199,9 @@ def _row(
         "named_after_s": None if first is None else names[first],
         "fixed": int(acts.sum()),
         "wrong": int((acts & evaluation.fixes.wrong).sum()),
-        "wrong_confirmed": int(_within(wrong, window.begin_ns, window.end_ns).sum()),
-        "wrong_confirmed_after": int(_within(wrong, window.end_ns + 1, after_ns).sum()),
-        "said": heard,
+        "wrong_confirmed": int(_within(wrong_ns, window.begin_ns, window.end_ns).sum()),
+        "wrong_confirmed_after": int(_within(wrong_ns, window.end_ns + 1, after_ns).sum()),
+        "said": reported,
         "correction_before_m": _correction_at(verdicts, window.begin_ns),
         "correction_at_end_m": _correction_at(verdicts, window.end_ns),
         "correction_after_m": _correction_at(verdicts, next_ns),
@@ -221,26 +209,23 @@ def _row(
 
 
 def named_until_ns(window: FaultWindow, later: Iterable[FaultWindow], last_ns: int) -> int:
-    """Until when a fault may be named: no longer than until one begins that the same words would name.
+    """Until when a fault may be named: no longer than until one begins that the same indications would name.
 
     Another may begin while this one acts, too: a link is driven again, a second fault is at work on it.
     """
-    words = NAMED_BY.get(window.kind, frozenset())
-    rivals = (other.begin_ns for other in later if words & NAMED_BY.get(other.kind, frozenset()))
+    names = NAMED_BY.get(window.kind, frozenset())
+    rivals = (other.begin_ns for other in later if names & NAMED_BY.get(other.kind, frozenset()))
     most_ns = min(window.end_ns + round(AFTER_S * _NS), last_ns, next(rivals, last_ns + 1) - 1)
     return max(window.end_ns, most_ns)
 
 
-def _of_here(
-    said: Iterable[FaultIndication], window: FaultWindow, verdicts: Sequence[Recorded[Any]]
+def _of_surfaces_met(
+    indications: Iterable[FaultIndication], window: FaultWindow, verdicts: Sequence[Recorded[Any]]
 ) -> list[FaultIndication]:
-    """Without what was said of surfaces on which the fault was not met."""
-    here = {NO_SURFACE} | {
-        item.message.surface_id
-        for item in verdicts
-        if window.begin_ns <= item.message.time_ns <= window.end_ns
-    }
-    return [word for word in said if word.surface_id in here]
+    """Without those of surfaces on which the fault was not met."""
+    messages = (item.message for item in verdicts)
+    met = {v.surface_id for v in messages if window.begin_ns <= v.time_ns <= window.end_ns} | {NO_SURFACE}
+    return [indication for indication in indications if indication.surface_id in met]
 
 
 def _within(time_ns: Int64, begin_ns: int, end_ns: int) -> Any:

@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from camber.formats.drive.truth_csv import WRONG_M
-from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
-from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.drive import load_manifest
-from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.reference_trajectory import truth_of
+from camber.validation.evaluation import Evaluation
+from camber.validation.evidence.evaluated_drive import evaluate_drive
+from camber.validation.judged_fixes import JudgedFix
 
 BASELINES = ("ratio_test_only", "height_only", "always_unknown")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
     """What a judge must keep to with the map's σ at a value: wrong epochs confirmed over 50 seeds, right ones."""
 
@@ -30,18 +28,17 @@ class Requirement:
     right_confirmed: float
 
 
-REQUIREMENTS = (Requirement(0.05, 1, 0.985), Requirement(0.10, 10, 0.95))
+REQUIREMENTS = (
+    Requirement(map_sigma_m=0.05, wrong_confirmed=1, right_confirmed=0.985),
+    Requirement(map_sigma_m=0.10, wrong_confirmed=10, right_confirmed=0.95),
+)
 
 
 def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> dict[str, Any]:
     """One drive through one process; the figures, and each wrong epoch that was confirmed."""
     overrides = [f"surrogates.seed={seed}", f"surrogates.map_sigma_m={map_sigma_m}"]
-    drive = load_manifest(manifest, overrides)
-    inputs = prepare_drive(drive, folder / "work")
-    driven = replay_in_one_process(inputs, folder)
-    assert inputs.truth is not None  # the manifest has one
-    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(inputs.truth))
-    summary = evaluation.summary
+    drive = evaluate_drive(load_manifest(manifest, overrides), folder)
+    summary = drive.evaluation.summary
     return {
         "seed": seed,
         "map_sigma_m": map_sigma_m,
@@ -51,8 +48,8 @@ def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> 
         "wrong": summary["tentative"]["wrong"],
         "judges": {"camber": _figures(summary)}
         | {name: _figures(summary["controls"][name]) for name in BASELINES},
-        "held_back": held_back(evaluation),
-        "wrong_confirmed": wrong_confirmed(evaluation, inputs.tick_times_ns[0]),
+        "held_back": held_back(drive.evaluation),
+        "wrong_confirmed": wrong_confirmed(drive.evaluation, drive.inputs.tick_times_ns[0]),
         "availability": summary["position"]["availability"],
     }
 
@@ -72,39 +69,39 @@ def _figures(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def held_back(evaluation: Evaluation) -> dict[str, int]:
-    """Right fixes that were not confirmed, by what was said of them."""
-    right = evaluation.fix_rows[evaluation.fixes.right]
-    said: Counter[str] = Counter()
-    for row in (evaluation.rows[i] for i in right.tolist()):
-        if not row.confirmed:
-            reason = "no verdict" if row.verdict is None else row.verdict.reason
-            said[f"{row.verdict_name}: {reason}"] += 1
-    return dict(said.most_common())
+    """Right fixes that were not confirmed, by verdict and reason."""
+    rows: list[JudgedFix] = [evaluation.rows[i] for i in evaluation.fix_rows[evaluation.fixes.right].tolist()]
+    reasons = Counter(
+        f"{row.verdict_name}: {'no verdict' if row.verdict is None else row.verdict.reason}"
+        for row in rows
+        if not row.confirmed
+    )
+    return dict(reasons.most_common())
+
+
+_MEASURED = (
+    "height_difference_m", "tolerance_m", "position_difference_m", "joint_distance2", "joint_limit", "correction_m",
+    "trials",
+)  # fmt: skip
 
 
 def wrong_confirmed(evaluation: Evaluation, start_ns: int) -> list[dict[str, Any]]:
     """Each wrong position that was confirmed: its error, and what the judge measured."""
-    found = []
+    wrong = []
     for i in np.flatnonzero(evaluation.confirmed_error_m > WRONG_M).tolist():
-        verdict = evaluation.rows[i].verdict
-        assert verdict is not None
-        found.append(
+        row: JudgedFix = evaluation.rows[i]
+        assert row.verdict is not None
+        wrong.append(
             {
-                "at_s": round((evaluation.rows[i].time_ns - start_ns) / 1e9, 3),
+                "at_s": round((row.time_ns - start_ns) / 1e9, 3),
                 "error_m": round(float(evaluation.confirmed_error_m[i]), 3),
                 "fix_error_enu_m": evaluation.tentative_error_enu_m[i].round(3).tolist(),
-                "word": verdict.verdict,
-                "evidence": list(verdict.evidence),
-                "height_difference_m": verdict.height_difference_m,
-                "tolerance_m": verdict.tolerance_m,
-                "position_difference_m": verdict.position_difference_m,
-                "joint_distance2": verdict.joint_distance2,
-                "joint_limit": verdict.joint_limit,
-                "correction_m": verdict.correction_m,
-                "trials": verdict.trials,
+                "word": row.verdict.verdict,
+                "evidence": list(row.verdict.evidence),
+                **{name: getattr(row.verdict, name) for name in _MEASURED},
             }
         )
-    return found
+    return wrong
 
 
 def total(results: Sequence[dict[str, Any]], judge: str) -> dict[str, Any]:

@@ -9,42 +9,38 @@ from typing import Any
 
 import numpy as np
 
-from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
-from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
-from camber.validation.evaluation import evaluate
+from camber.validation.evidence.evaluated_drive import evaluate_drive
 from camber.validation.fix_statistics import Flags
 from camber.validation.protection import Positions, last_row_of_epochs, levels_by_source
-from camber.validation.reference_trajectory import truth_of
 
 MODES = ("rtk", "doppler", "sensors", "scan_match")
 LIMITS_M = (1.0, 1.5, 2.0)
 RE_ESTIMATION, WITHOUT = "agreement", "off"
 MORE_CONFIRMED = 1.15
-"""What re-estimation has to make of the right fixes that are confirmed without it."""
+"""Required: right fixes confirmed with re-estimation, by those confirmed without it."""
 BLOCK_S = 20.0
-"""Longer than a cause of errors lasts: a stretch without fixes, a wrong fix, a place on the map."""
+"""Chosen: longer than a cause of errors lasts: a stretch without fixes, a wrong fix, a place on the map."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedFigures:
-    """KIKUCHI's own figures (Nagoya, 19,320 epochs): availability, shares below `LIMITS_M`, shares inside by mode."""
+    """Availability, shares of epochs below `LIMITS_M`, and shares inside the 99 % ellipse by mode."""
 
-    availability: float = 1.0
-    below: tuple[float, float, float] = (0.918, 0.959, 0.999)
-    inside_99: tuple[tuple[str, float], ...] = (
-        ("rtk", 0.999),
-        ("doppler", 0.996),
-        ("sensors", 0.981),
-        ("all", 0.993),
-    )
+    availability: float
+    below: tuple[float, float, float]
+    inside_99: tuple[tuple[str, float], ...]
 
 
-KIKUCHI = PublishedFigures()
+KIKUCHI = PublishedFigures(
+    availability=1.0,
+    below=(0.918, 0.959, 0.999),
+    inside_99=(("rtk", 0.999), ("doppler", 0.996), ("sensors", 0.981), ("all", 0.993)),
+)
+"""Kikuchi (TUMSAT), reliability index: Nagoya, 19,320 epochs."""
 REQUIRED_BELOW = (0.99, 0.999, 1.0)
 
 
@@ -60,11 +56,9 @@ def run_drive(
     """Simulate a drive, send it through one process, sum up in blocks of `BLOCK_S`."""
     made = load_scenario(scenario, [*overrides, f"seed={seed}"])
     drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
-    inputs = prepare_drive(drive, folder / "work")
-    driven = replay_in_one_process(inputs, folder, settings={"integrity": {"re_estimation": re_estimation}})
-    assert inputs.truth is not None  # a simulated drive has one
-    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(inputs.truth))
-    summary = evaluation.summary
+    driven = evaluate_drive(drive, folder, {"integrity": {"re_estimation": re_estimation}})
+    positions_of, summary = driven.evaluation.positions, driven.evaluation.summary
+    epoch_ns = np.unique([item.message.time_ns for item in driven.output.recorded["motion"]])
     return {
         "scenario": scenario,
         "seed": seed,
@@ -81,11 +75,9 @@ def run_drive(
         "right_kept": summary["right"]["kept"],
         "episodes": summary["episodes"],
         "controls": summary["controls"],
-        "levels": levels_by_source(evaluation.positions),
+        "levels": levels_by_source(positions_of),
         "usable": summary["position"]["availability"],
-        **block_counts(
-            evaluation.positions, np.unique([m.message.time_ns for m in driven.recorded["motion"]])
-        ),
+        **block_counts(positions_of, epoch_ns),
     }
 
 
@@ -96,12 +88,12 @@ def block_counts(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
     mode (b, 3): positions with an ellipse and an error, those with the truth inside at 99 and at 99.9 %. The position
     of an epoch is `last_row_of_epochs`.
     """
-    row, found = last_row_of_epochs(positions.time_ns, epoch_ns)
+    row, known = last_row_of_epochs(positions.time_ns, epoch_ns)
     block = ((epoch_ns - epoch_ns[:1]) / 1e9 // BLOCK_S).astype(np.int64)
     n = int(block.max()) + 1 if len(block) else 0
 
     def at_epochs(values: Float64) -> Float64:
-        return np.where(found, values[row], np.nan) if len(values) else np.full(len(epoch_ns), np.nan)
+        return np.where(known, values[row], np.nan) if len(values) else np.full(len(epoch_ns), np.nan)
 
     def counted(*flags: Flags) -> list[list[int]]:
         columns = [np.bincount(block, weights=flag, minlength=n) for flag in flags]

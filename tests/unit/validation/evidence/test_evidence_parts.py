@@ -121,18 +121,15 @@ def test_each_time_that_a_fault_acts_is_a_window_in_the_order_of_time() -> None:
     truth = truth_with(
         fault_wrong_map=[0, 0, 1, 1, 0, 1], fault_jamming=[1, 0, 0, 0, 0, 0], map_wrong_m=[1, 1, 1, 1, 1, 1]
     )
-    found = [(w.kind, w.begin_ns // NS, w.end_ns // NS) for w in fault_windows(truth)]
-    assert found == [("jamming", 0, 0), ("wrong_map", 2, 3), ("wrong_map", 5, 5)]
+    windows = [(w.kind, w.begin_ns // NS, w.end_ns // NS) for w in fault_windows(truth)]
+    assert windows == [("jamming", 0, 0), ("wrong_map", 2, 3), ("wrong_map", 5, 5)]
 
 
-def test_what_was_said_in_a_window_is_counted_with_the_time_when_it_began() -> None:
-    said = [
-        FaultIndication(10 * NS, "a"),
-        FaultIndication(30 * NS, "b"),
-        FaultIndication(31 * NS, "b"),
-        FaultIndication(90 * NS, "b"),
+def test_indications_in_a_window_are_counted_with_the_time_when_they_began() -> None:
+    indications = [
+        FaultIndication(at_s * NS, text) for at_s, text in ((10, "a"), (30, "b"), (31, "b"), (90, "b"))
     ]
-    assert during(said, 20 * NS, 50 * NS) == {"b": {"count": 2, "begun_s": 10.0}}
+    assert during(indications, 20 * NS, 50 * NS) == {"b": {"count": 2, "begun_s": 10.0}}
 
 
 def test_what_lasts_from_before_a_window_names_nothing_in_it_until_it_has_ceased_and_begins_anew() -> None:
@@ -142,7 +139,7 @@ def test_what_lasts_from_before_a_window_names_nothing_in_it_until_it_has_ceased
     assert during(anew, 5 * NS, 20 * NS) == {"cause antenna": {"count": 6, "begun_s": 15.0}}
 
 
-def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_time() -> None:
+def test_indications_come_from_every_service_in_the_order_of_time() -> None:
     def at(time_ns: int, **fields: object) -> SimpleNamespace:
         return SimpleNamespace(message=SimpleNamespace(time_ns=time_ns, **fields))
 
@@ -154,7 +151,7 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
     }
     issue = ReportedIssue(time_ns=0, service="gnss", code="repeated_epoch", text="")
     driven = DriveOutput(recorded=recorded, issues=[issue])
-    assert [word.text for word in indications_of(driven)] == [
+    assert [indication.text for indication in indications_of(driven)] == [
         "gnss repeated_epoch",
         "match lost",
         "cause base",
@@ -166,21 +163,22 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
     ]
 
 
-def test_a_fault_may_be_named_until_one_begins_that_the_same_words_name() -> None:
-    dropped, again = (
-        FaultWindow("dropped_process", 10 * NS, 10 * NS),
-        FaultWindow("changed_road", 11 * NS, 20 * NS),
-    )
-    jump, silence = (
-        FaultWindow("time_jump", 30 * NS, 35 * NS),
-        FaultWindow("missing_epochs", 40 * NS, 45 * NS),
+def test_a_fault_may_be_named_until_one_begins_that_the_same_indications_name() -> None:
+    dropped, again, jump, silence = (
+        FaultWindow(kind=kind, begin_ns=begin_s * NS, end_ns=end_s * NS)
+        for kind, begin_s, end_s in (
+            ("dropped_process", 10, 10),
+            ("changed_road", 11, 20),
+            ("time_jump", 30, 35),
+            ("missing_epochs", 40, 45),
+        )
     )
     assert named_until_ns(dropped, [again], 90 * NS) == 25 * NS
     assert named_until_ns(jump, [silence], 90 * NS) == 40 * NS - 1
     assert named_until_ns(silence, [], 50 * NS) == 50 * NS
 
 
-def test_a_road_is_named_by_the_surfaces_that_are_said_to_have_changed() -> None:
+def test_a_road_is_named_by_the_surfaces_reported_to_have_changed() -> None:
     verdict = SimpleNamespace(time_ns=5, reason="height_agrees", cause="road", surface_id=7)
     text = "surface 8 lies +0.30 m from map version 1"
     issue = ReportedIssue(time_ns=6, service="integrity", code="road_changed", text=text)
