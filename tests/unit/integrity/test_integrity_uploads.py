@@ -183,7 +183,6 @@ def test_each_upload_is_in_exactly_one_batch():
         due = collector.due(at(k / 4))
         rows += due.positioning_time_ns.tolist() if due is not None else []
     last = collector.take()
-    assert last is not None
     assert np.array_equal([*rows, *last.positioning_time_ns], [at(k / 4) for k in range(200)])
 
 

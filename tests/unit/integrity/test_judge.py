@@ -79,7 +79,6 @@ def test_a_fix_on_road_and_antenna_near_the_pose_is_confirmed():
     assert judgement.confirmed
     assert verdict_and_reason(judgement) == ("confirmed", "height_agrees")
     assert judgement.evidence == ("height", "position")
-    assert judgement.road is not None
     assert judgement.road.surface_id == 7
 
 
@@ -87,7 +86,6 @@ def test_a_fix_off_the_height_is_erroneous():
     judgement = judged(fix(up_m=0.5))
     assert not judgement.confirmed
     assert verdict_and_reason(judgement) == ("erroneous", "height_disagrees")
-    assert judgement.comparison is not None
     assert judgement.comparison.height_m == pytest.approx(-0.5)
     assert "height -0.50 m" in judgement.detail
 
@@ -127,20 +125,20 @@ REJECTIONS = [
 ]
 
 
-@pytest.mark.parametrize(
+every_rejection = pytest.mark.parametrize(
     ("reason", "changes"), REJECTIONS, ids=[f"{i} {r}" for i, (r, _) in enumerate(REJECTIONS)]
 )
+
+
+@every_rejection
 def test_every_row_of_the_rejection_table_is_unknown_with_its_reason(reason, changes):
     assert verdict_and_reason(judged(**changes)) == ("unknown", reason)
 
 
-@pytest.mark.parametrize(
-    ("reason", "changes"), REJECTIONS, ids=[f"{i} {r}" for i, (r, _) in enumerate(REJECTIONS)]
-)
+@every_rejection
 def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes):
     drive = Drive()
-    for k in range(-5, 0):
-        assert drive.epoch(k).confirmed
+    assert all(drive.epoch(k).confirmed for k in range(-5, 0))
     drive.judge.latest.set_antenna_height(changes.get("the_antenna") or antenna())
     drive.judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
     drive.judge.latest.poses.clear()  # the last known pose is the one given
@@ -148,16 +146,13 @@ def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes)
     judgement = drive.judge.judge(
         changes.get("the_fix") or fix(), at(changes.get("now", 0.0)), changes.get("alive", ALL)
     )
-    assert judgement is not None
     assert judgement.verdict == "unknown"
 
 
 def test_without_any_pose_or_antenna_height_there_is_no_verdict():
     nothing = judge_with().judge(fix(), at(0), ALL)
-    assert nothing is not None
     assert verdict_and_reason(nothing) == ("unknown", "pose_missing")
     no_antenna = judge_with(poses=[pose()]).judge(fix(), at(0), ALL)
-    assert no_antenna is not None
     assert verdict_and_reason(no_antenna) == ("unknown", "antenna_height_missing")
 
 
@@ -182,12 +177,10 @@ def test_what_is_not_a_number_is_never_confirmed(where, value):
     if where != "pose":
         the_pose = the_pose.model_copy(update={"road": the_road})
     drive = Drive()
-    for k in range(-5, 0):
-        assert drive.epoch(k).confirmed
+    assert all(drive.epoch(k).confirmed for k in range(-5, 0))
     drive.judge.latest.set_antenna_height(the_antenna)
     drive.judge.latest.add_pose(the_pose)
     judgement = drive.judge.judge(the_fix, at(0), ALL)
-    assert judgement is not None
     assert judgement.verdict == "unknown"
 
 
@@ -219,7 +212,6 @@ def test_a_pose_of_the_epoch_before_is_moved_on_for_the_gate_and_not_for_the_roa
 def test_of_several_poses_the_nearest_in_time_counts():
     judge = judge_with(poses=[pose(-1, east_m=50.0), pose(0), pose(1, east_m=50.0)], antenna_height=antenna())
     judgement = judge.judge(fix(), at(0.5), ALL)
-    assert judgement is not None
     assert judgement.confirmed
 
 
@@ -244,8 +236,6 @@ def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
     drive.epoch(1)
     repeated = drive.judge.judge(fix(1, fix_id=1), at(1), ALL)
     earlier = drive.judge.judge(fix(0), at(1), ALL)
-    assert repeated is not None
-    assert earlier is not None
     assert verdict_and_reason(repeated) == ("unknown", "fix_repeated")
     assert verdict_and_reason(earlier) == ("unknown", "fix_out_of_order")
     assert drive.judge.last_fix_ns == at(1)
@@ -259,7 +249,6 @@ def test_what_is_dated_ahead_blocks_nothing_once_it_is_forgotten():
     drive.judge.forget_future(at(1))
     assert drive.judge.latest.pose == pose(0)
     without = drive.judge.judge(fix(1), at(1), ALL)
-    assert without is not None
     assert without.reason == "antenna_height_missing"
     assert drive.epoch(2).confirmed
 
@@ -327,26 +316,21 @@ def test_where_the_map_is_wrong_the_time_series_carries_a_right_fix():
     assert judgement.evidence == ("time_series",)
 
 
-def test_but_not_one_that_jumps_itself():
+@pytest.mark.parametrize(
+    ("before", "epoch", "the_fix", "the_pose"),
+    [
+        (1, 1, fix(1, up_m=0.4), None),
+        (1, 1, fix(1, north_m=0.2), off_map(1)),
+        (1, 6, None, off_map(6)),
+        (0, 0, None, off_map(0)),
+        (1, 1, None, provisional(1, road=road(elevation_m=ROAD_M - 0.4))),
+    ],
+    ids=["jumps", "moved otherwise than the vehicle", "after a second", "no fix before", "provisional pose"],
+)
+def test_but_it_carries_no_other(before, epoch, the_fix, the_pose):
     drive = Drive()
-    assert drive.epoch(0).confirmed
-    assert drive.epoch(1, fix(1, up_m=0.4)).verdict == "erroneous"
-
-
-def test_nor_one_that_moved_otherwise_than_the_vehicle():
-    drive = Drive()
-    assert drive.epoch(0).confirmed
-    assert drive.epoch(1, fix(1, north_m=0.2), off_map(1)).verdict == "erroneous"
-
-
-def test_nor_after_a_second_without_a_right_fix():
-    drive = Drive()
-    assert drive.epoch(0).confirmed
-    assert drive.epoch(6, the_pose=off_map(6)).verdict == "erroneous"
-
-
-def test_nor_without_a_right_fix_before():
-    assert Drive().epoch(0, the_pose=off_map(0)).verdict == "erroneous"
+    assert all(drive.epoch(k).confirmed for k in range(before))
+    assert drive.epoch(epoch, the_fix, the_pose).verdict == "erroneous"
 
 
 def test_nor_where_no_pose_gives_the_displacement_since():
@@ -361,13 +345,6 @@ def test_the_chain_of_verified_fixes_ends():
     drive.epoch(0)
     verdicts = [drive.epoch(k, the_pose=off_map(k)).verdict for k in range(1, 28)]
     assert verdicts == ["confirmed_after_verification"] * 25 + ["erroneous"] * 2
-
-
-def test_a_provisional_pose_verifies_nothing():
-    drive = Drive()
-    drive.epoch(0)
-    wrong_map = provisional(1, road=road(elevation_m=ROAD_M - 0.4))
-    assert drive.epoch(1, the_pose=wrong_map).verdict == "erroneous"
 
 
 # --- start -------------------------------------------------------------------------------------------------------
@@ -404,8 +381,7 @@ def test_one_that_does_not_agree_begins_the_count_anew(odd, odd_pose):
 def test_a_restart_of_the_pose_elsewhere_begins_the_count_anew():
     """The localizer was killed or lost, and starts again from other fixes: theirs is another row."""
     drive = Drive()
-    for k in range(4):
-        drive.epoch(k, the_pose=provisional(k))
+    assert not any(drive.epoch(k, the_pose=provisional(k)).confirmed for k in range(4))
     elsewhere = [drive.epoch(k, fix(k, east_m=30.0), provisional(k, east_m=30.0)) for k in range(4, 9)]
     assert [j.verdict for j in elsewhere] == ["unknown"] * 4 + ["confirmed"]
 
@@ -421,10 +397,8 @@ def test_after_an_anchored_pose_was_lost_the_start_begins_at_zero():
 def test_above_a_provisional_pose_a_fix_elsewhere_is_not_known_and_one_off_the_height_is_wrong():
     elsewhere = judged(fix(north_m=2.0), the_pose=provisional())
     assert verdict_and_reason(elsewhere) == ("unknown", "position_disagrees")
-    assert verdict_and_reason(judged(fix(up_m=1.0), the_pose=provisional())) == (
-        "erroneous",
-        "height_disagrees",
-    )
+    high = judged(fix(up_m=1.0), the_pose=provisional())
+    assert verdict_and_reason(high) == ("erroneous", "height_disagrees")
     both = judged(fix(north_m=2.0, up_m=1.0), the_pose=provisional())
     assert verdict_and_reason(both) == ("erroneous", "height_and_position_disagree")
 
@@ -506,10 +480,7 @@ def test_learning_gets_the_difference_without_correction_of_every_compared_fix()
     (residual,) = learning.latest
     assert residual.verdict == "confirmed"
     assert residual.up_m == pytest.approx(0.1)
-    assert (residual.east_m, residual.north_m) == (
-        pytest.approx(0.05, abs=1e-4),
-        pytest.approx(0.0, abs=1e-4),
-    )
+    assert (residual.east_m, residual.north_m) == pytest.approx((0.05, 0.0), abs=1e-4)
     assert residual.map_sigma_m == 0.03
     assert residual.fix_sigma_m == pytest.approx(math.sqrt((4 * 0.01) ** 2 + 0.05**2 + 0.02**2))
     assert residual.surface_id == 7
@@ -520,10 +491,8 @@ def test_another_base_station_has_another_correction():
     learning = Listening()
     judged(fix(base_station="rtcm-7"), learning=learning)
     judged(fix(base_station="rtcm-8"), learning=learning)
-    assert [residual.key.base for residual in learning.latest] == [
-        "receiver:WGS84:rtcm-7",
-        "receiver:WGS84:rtcm-8",
-    ]
+    bases = [residual.key.base for residual in learning.latest]
+    assert bases == ["receiver:WGS84:rtcm-7", "receiver:WGS84:rtcm-8"]
 
 
 def test_of_a_pose_made_of_unconfirmed_fixes_it_gets_the_height_only():
@@ -535,44 +504,29 @@ def test_of_a_pose_made_of_unconfirmed_fixes_it_gets_the_height_only():
 
 @pytest.mark.parametrize(("mode", "leans"), [("dead_reckoning", True), ("scan_match", False)])
 def test_it_gets_the_confirmed_fix_that_anchors_the_pose_and_the_link(mode, leans):
-    learning, the_pose = (
-        Listening(),
-        pose(provenance="confirmed", mode=mode, anchor_time_ns=at(-1.0), link_id=4),
-    )
-    judged(learning=learning, the_pose=the_pose)
-    assert learning.latest[0].east_m == 0.0
-    assert learning.latest[0].anchored_ns == (at(-1.0) if leans else None)
-    assert learning.latest[0].link_id == 4
+    learning = Listening()
+    judged(learning=learning, the_pose=pose(mode=mode, anchor_time_ns=at(-1.0), link_id=4))
+    (residual,) = learning.latest
+    assert (residual.east_m, residual.link_id) == (0.0, 4)
+    assert residual.anchored_ns == (at(-1.0) if leans else None)
 
 
-def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and_of_the_newest_base():
+@pytest.mark.parametrize("base", ["", "receiver:WGS84:rtcm-8"])
+def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and_of_the_newest_base(base):
+    known = Correction(correction_m=0.01, sigma_m=0.02)
+
     class Asked(Learning):
         def correction(self, key):
-            return (
-                Correction(correction_m=0.01, sigma_m=0.02)
-                if key == ReferenceKey(antenna="fixed", base="receiver:WGS84:rtcm-8", map_version=3)
-                else Correction()
-            )
+            of_base = key == ReferenceKey(antenna="fixed", base=base, map_version=3)
+            return known if of_base else Correction()
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
     inputs = judge.latest.inputs(at(0), ALL)
+    assert judge.correction(inputs) == (Correction() if base else known)
     judge.judge(fix(0, base_station="rtcm-7"), at(0), ALL)
     assert judge.correction(inputs) == Correction()
     judge.judge(fix(1, base_station="rtcm-8"), at(1), ALL)
-    assert judge.correction(inputs) == Correction(correction_m=0.01, sigma_m=0.02)
-
-
-def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base():
-    class Asked(Learning):
-        def correction(self, key):
-            return (
-                Correction(correction_m=0.01, sigma_m=0.02)
-                if key == ReferenceKey(antenna="fixed", base="", map_version=3)
-                else Correction()
-            )
-
-    judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    assert judge.correction(judge.latest.inputs(at(0), ALL)) == Correction(correction_m=0.01, sigma_m=0.02)
+    assert judge.correction(inputs) == (known if base else Correction())
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_gets_the_place_only():
@@ -795,7 +749,6 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
 def test_a_fix_beyond_the_road_and_off_the_pose_contradicts_the_pose():
     off = judged(fix(east_m=30.0))
     assert verdict_and_reason(off) == ("erroneous", "position_disagrees")
-    assert off.comparison is not None
     assert off.comparison.position_m == pytest.approx((30.0, 0.0), abs=1e-2)
     in_doubt = judged(fix(east_m=30.0), rules=by("height"))
     assert verdict_and_reason(in_doubt) == ("unknown", "pose_too_uncertain")
@@ -809,14 +762,19 @@ def chained(k, continuity="continuous", since=0, **changes):
     return fix(k, ambiguity_continuity=continuity, continuous_since_ns=at(since), **changes)
 
 
+def drive_of_five():
+    """A drive whose integers five fixes have confirmed."""
+    drive = Drive()
+    assert all(drive.epoch(k, chained(k)).evidence[0] == "height" for k in range(5))
+    return drive
+
+
 def far_off_map(k):
     return off_map(k, 0.6)
 
 
 def test_integers_that_the_height_has_confirmed_carry_a_fix_over_a_road_that_is_wrong():
-    drive = Drive()
-    for k in range(5):
-        assert drive.epoch(k, chained(k)).evidence[0] == "height"
+    drive = drive_of_five()
     drive.epoch(5, the_pose=pose(5, road=no_road()))
     judgement = drive.epoch(20, chained(20), far_off_map(20))  # 3 s later: no time series
     assert verdict_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
@@ -824,9 +782,7 @@ def test_integers_that_the_height_has_confirmed_carry_a_fix_over_a_road_that_is_
 
 
 def test_a_fix_with_a_large_sigma_is_not_verified():
-    drive = Drive()
-    for k in range(5):
-        drive.epoch(k, chained(k))
+    drive = drive_of_five()
     wide = (2.5e-5, 0.0, 0.0, 2.5e-5, 0.0, 0.04**2)
     assert drive.epoch(5, chained(5, covariance_enu_m2=wide), off_map(5, 1.5)).verdict == "erroneous"
     assert drive.epoch(6, chained(6), off_map(6, 1.5)).confirmed
@@ -840,18 +796,14 @@ def test_a_fix_with_a_large_sigma_verifies_no_other():
 
 
 def test_nothing_is_verified_that_is_not_where_the_pose_is():
-    drive = Drive()
-    for k in range(5):
-        drive.epoch(k, chained(k))
+    drive = drive_of_five()
     assert not drive.epoch(5, chained(5, north_m=0.5), far_off_map(5)).confirmed
     assert not drive.epoch(6, chained(6, north_m=1.0), far_off_map(6)).confirmed
     assert drive.epoch(7, chained(7, north_m=1.0)).reason == "position_disagrees"
 
 
 def test_where_the_pose_is_in_doubt_integers_that_were_confirmed_carry_a_fix_that_the_height_agrees_with():
-    drive = Drive()
-    for k in range(5):
-        drive.epoch(k, chained(k))
+    drive = drive_of_five()
     judgement = drive.epoch(5, chained(5, north_m=0.5))
     assert verdict_and_reason(judgement) == ("confirmed_after_verification", "position_unverified")
     assert judgement.evidence == ("ambiguity_continuity",)
@@ -868,9 +820,7 @@ def test_but_neither_the_time_series_nor_sweeps_that_are_elsewhere():
 
 
 def test_other_integers_than_those_just_confirmed_are_not_known_until_they_have_lasted_a_second():
-    drive = Drive()
-    for k in range(5):
-        drive.epoch(k, chained(k))
+    drive = drive_of_five()
     held = drive.epoch(5, chained(5, "broken", 5))
     assert verdict_and_reason(held) == ("unknown", "continuity_disagrees")
     assert "0.2 s ago" in held.detail

@@ -60,7 +60,6 @@ def test_standing_still_neither_ends_a_stretch_nor_makes_it_heavier():
     collector = CellCollector(20.0)
     assert all(collector.add(residual(0)) is None for _ in range(2 * MOST_FIXES))
     ended = collector.add(residual(20))
-    assert ended is not None
     assert ended.fixes == MOST_FIXES
 
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
-from camber.integrity.protection.position_output import PositionOutput, _distance2, unavailable_position
+from camber.integrity.protection.position_output import PositionOutput, _distance2
 from camber.integrity.rules import Rules
-from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose, provisional, road
+from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, fix, pose, provisional, road
 
 RULES = Rules()
 
@@ -34,13 +34,11 @@ def test_a_pose_stands_on_the_road_with_its_antenna():
     assert position.source == "sensors"
     assert position.height_m == pytest.approx(ROAD_M + ANTENNA_M + 0.05)
     assert position.fix_id is None
-    assert position.covariance_enu_m2 is not None
     assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2)
 
 
 def test_on_a_slope_the_height_shares_the_error_of_the_place():
     position = from_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2)), antenna())
-    assert position.covariance_enu_m2 is not None
     assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
 
 
@@ -64,7 +62,6 @@ def test_where_road_or_antenna_is_not_known_the_height_is_not(the_pose, the_ante
     position = from_pose(the_pose, the_antenna)
     assert position.height_m is None
     assert not position.usable
-    assert position.covariance_enu_m2 is not None
     assert position.covariance_enu_m2[5] == 1e6
 
 
@@ -86,14 +83,8 @@ def test_a_provisional_pose_or_one_of_no_use_gives_no_position(the_pose, reason)
     assert position.source == "none"
     assert position.reason == reason
     assert not position.usable
-    assert position.latitude_rad is None
-
-
-def test_an_unavailable_position_has_no_place():
-    position = unavailable_position(at(0), "localizer_absent", RULES)
-    assert not position.usable
-    assert position.reason == "localizer_absent"
     assert position.latitude_rad is position.height_m is position.covariance_enu_m2 is None
+    assert (position.alert_limit_m, position.vertical_alert_limit_m) == (1.5, 2.0)
 
 
 # --- verdicts ----------------------------------------------------------------------------------------------------

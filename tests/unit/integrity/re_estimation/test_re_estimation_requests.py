@@ -74,7 +74,6 @@ class Judged:
 
 def test_of_an_erroneous_fix_of_the_engine_other_estimates_are_asked_up_to_the_limit():
     question = estimates_request(erroneous(), replace(RULES, most_trials=7))
-    assert question is not None
     assert (question.fix_id, question.time_ns) == (fix(0).fix_id, at(0))
     assert (question.strategy, question.maximum_trials) == ("all", 7)
 
@@ -316,7 +315,6 @@ def test_the_judge_settles_what_another_estimate_became():
         )
 
     result = judge.judge(wrong, at(0), ALL, others)
-    assert result is not None
     assert result.verdict == "confirmed"
     assert result.fix.height_m == other.height_m
     assert judge.judge(wrong, at(0), ALL, others) is None
@@ -338,7 +336,6 @@ def test_the_integers_after_another_estimate_are_not_compared_with_its():
     result = judge.judge(
         fix(1, **ENGINE, ambiguity_continuity="broken", continuous_since_ns=at(1)), at(1), ALL
     )
-    assert result is not None
     assert result.verdict == "confirmed"
 
 
@@ -346,7 +343,6 @@ def test_an_unresolved_epoch_with_other_estimates_is_settled_only_if_one_passes(
     judge = ready()
     float_ = fix(0, quality="float", **ENGINE)
     result = judge.judge(float_, at(0), ALL, lambda first: without_estimates(first, "gone"))
-    assert result is not None
     assert (result.verdict, result.reason, result.detail) == (
         "unknown",
         "not_a_fix",
