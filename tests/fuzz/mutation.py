@@ -5,25 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from random import Random
 
-_BOUNDARY_BYTES = (
-    0,
-    1,
-    0x7F,
-    0x80,
-    0xFF,
-    0x0A,
-    0x0D,
-    0x20,
-    0x24,
-    0x2A,
-    0x2C,
-    0x2D,
-    0x2E,
-    0x30,
-    0x39,
-    0xB5,
-    0xD3,
-)
+_BOUNDARY_BYTES = b"\x00\x01\x7f\x80\xff\n\r $*,-.09\xb5\xd3"
 """Bytes at the ends of ranges, and those of text and frames."""
 _LONGEST = 200_000
 

@@ -58,6 +58,10 @@ def signal_name(number: int) -> str:
     return f"{chr(number >> 8)}{chr(number & 255)}"
 
 
+OBSERVABLES = ("pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz")
+"""Columns of an `ObservationEpoch` in RINEX's order."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObservationEpoch:
     """One epoch at one receiver: columns (n,) with one row per signal; NaN where a value was not observed.

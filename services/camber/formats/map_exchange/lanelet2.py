@@ -26,9 +26,7 @@ from camber.formats.map_exchange.mgrs import geodetic_from_mgrs
 
 Floats = NDArray[np.float64]
 
-MAX_BYTES = (
-    2 << 30
-)  # chosen: larger than any published map, so that a wrong file is refused before it fills memory
+MAX_BYTES = 2 << 30  # chosen: larger than any published map; a wrong file is refused before it fills memory
 ROADS = frozenset({"road", "highway", "play_street", "emergency_lane", "bus_lane", "exit", "road_shoulder"})
 """Subtypes on which vehicles drive; a lanelet without a subtype is a road."""
 _LOWEST_M, _HIGHEST_M = -12_000.0, 12_000.0  # chosen: beyond all land and sea floor
@@ -145,19 +143,16 @@ def _elements(data: bytes, file: str) -> Iterator[_OsmElement]:
 def _element(element: ElementTree.Element, file: str) -> _OsmElement:
     identity = _id(element.get("id"), file, f"{element.tag} id")
     name = f"{element.tag} {identity}"
-    tags = {tag.get("k", ""): tag.get("v", "") for tag in element.findall("tag")}
-    refs = tuple(_id(nd.get("ref"), file, f"{name}, nd") for nd in element.findall("nd"))
-    members = [
-        (m.get("role", ""), m.get("type", ""), _id(m.get("ref"), file, f"{name}, member"))
-        for m in element.findall("member")
-    ]
     return _OsmElement(
         kind=element.tag,
         identity=identity,
         attributes=dict(element.attrib),
-        tags=tags,
-        refs=refs,
-        members=members,
+        tags={tag.get("k", ""): tag.get("v", "") for tag in element.findall("tag")},
+        refs=tuple(_id(nd.get("ref"), file, f"{name}, nd") for nd in element.findall("nd")),
+        members=[
+            (m.get("role", ""), m.get("type", ""), _id(m.get("ref"), file, f"{name}, member"))
+            for m in element.findall("member")
+        ],
     )
 
 

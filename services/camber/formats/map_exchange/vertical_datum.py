@@ -81,14 +81,7 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
 
     def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
         longitude_deg, latitude_deg = np.degrees(longitude_rad), np.degrees(latitude_rad)
-        step = _step(
-            vertical,
-            horizontal,
-            datum=datum,
-            file=file,
-            longitude_deg=longitude_deg,
-            latitude_deg=latitude_deg,
-        )
+        step = _step((vertical, horizontal), (longitude_deg, latitude_deg), datum, file)
         _, _, converted = step.transform(longitude_deg, latitude_deg, height_m)
         return np.asarray(converted, np.float64)
 
@@ -101,9 +94,8 @@ def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> Ver
     Raises ValueError for an impossible undulation or σ, and without a source.
     """
     if not abs(undulation_m) <= MAX_UNDULATION_M:
-        raise ValueError(
-            f"undulation is {undulation_m} m, expected −{MAX_UNDULATION_M} to {MAX_UNDULATION_M}"
-        )
+        expected = f"−{MAX_UNDULATION_M} to {MAX_UNDULATION_M}"
+        raise ValueError(f"undulation is {undulation_m} m, expected {expected}")
     if not 0.0 < sigma_m < 10.0:
         raise ValueError(f"σ of the undulation is {sigma_m} m, expected more than 0, less than 10")
     if not source.strip():
@@ -148,16 +140,18 @@ def aligned_to_wgs84(name: str) -> bool:
     return plain.startswith(("ITRF", "WGS84"))
 
 
-def _step(
-    vertical: Any, horizontal: Any, datum: str, file: str, longitude_deg: Floats, latitude_deg: Floats
-) -> Any:
-    """Return the operation with the best grid that covers the places, or raise FormatError."""
+def _step(crs: tuple[Any, Any], places_deg: tuple[Floats, Floats], datum: str, file: str) -> Any:
+    """Return the operation between vertical and horizontal CRS with the best grid that covers the places.
+
+    `places_deg`: longitude and latitude. Raises FormatError where there is none.
+    """
+    vertical, horizontal = crs
     import pyproj
     from pyproj.aoi import AreaOfInterest
     from pyproj.crs import CompoundCRS
     from pyproj.transformer import TransformerGroup
 
-    area = AreaOfInterest(*(float(f(a)) for f in (np.min, np.max) for a in (longitude_deg, latitude_deg)))
+    area = AreaOfInterest(*(float(f(a)) for f in (np.min, np.max) for a in places_deg))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a missing grid is reported below
         group = TransformerGroup(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import Floats, Integers, ObservationEpoch, signal_number
+from camber.formats.observations import OBSERVABLES, Floats, Integers, ObservationEpoch, signal_number
 from camber.formats.rinex.observation_fields import (
     BAD,
     BLANK,
@@ -163,16 +163,12 @@ class EpochBatch:
     def observations(self, time_ns: int, rows: slice) -> ObservationEpoch:
         """Return the observations of one epoch."""
         satellite, signal = self.integers[:, rows]
-        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz = self.floats[:, rows]
         loss_of_lock, half_cycle = self.flags[:, rows]
         return ObservationEpoch(
             time_ns=time_ns,
             satellite=satellite,
             signal=signal,
-            pseudorange_m=pseudorange_m,
-            carrier_phase_cycles=carrier_phase_cycles,
-            doppler_hz=doppler_hz,
-            cn0_dbhz=cn0_dbhz,
+            **dict(zip(OBSERVABLES, self.floats[:, rows], strict=True)),
             lock_time_s=np.full(satellite.size, np.nan),
             loss_of_lock=loss_of_lock,
             half_cycle=half_cycle,
@@ -247,18 +243,8 @@ def _read_epochs(
         starts[0] = newline + 1
         whole, ended = _find_lines(data, starts, count)
         if not ended:
-            missing = count - whole
-            return (
-                n_rows,
-                n_epochs,
-                n_problems,
-                position,
-                lines,
-                stray_reported,
-                NEEDS_MORE,
-                no_event,
-                missing,
-            )
+            stop, missing = NEEDS_MORE, count - whole
+            return n_rows, n_epochs, n_problems, position, lines, stray_reported, stop, no_event, missing
         if whole < count:
             n_problems = _add_problem(output, n_problems, (number, position, TRUNCATED, _NO_COLUMN))
         elif 2 <= flag <= 5:

@@ -17,7 +17,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 SYSTEMS_SKIPPED = "RSI"
 """GLONASS, SBAS, NavIC: their satellites are counted and skipped."""
 MAX_HEADER_LINES = (
-    20_000  # chosen: bounds the work for a file without END OF HEADER; real headers have below 1,000
+    20_000  # chosen: bounds the work for a file without END OF HEADER; real ones have below 1,000
 )
 _TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
 _TIME_SYSTEM_OF_FILE = {"G": "GPS", "E": "GAL", "J": "QZS", "C": "BDT", "R": "GLO", "I": "IRN"}
@@ -25,14 +25,8 @@ _SCALES = (1, 10, 100, 1000)
 _BEIDOU_B1C_VERSION = 3.04  # RINEX 3.04, table 9: band 1 of BeiDou is B1C; in 3.02 it was B1I
 _LABEL = slice(60, 80)
 _FIELDS = {
-    "MARKER NAME",
-    "REC # / TYPE / VERS",
-    "ANT # / TYPE",
-    "APPROX POSITION XYZ",
-    "ANTENNA: DELTA H/E/N",
-    "INTERVAL",
-    "LEAP SECONDS",
-    "SIGNAL STRENGTH UNIT",
+    *("MARKER NAME", "REC # / TYPE / VERS", "ANT # / TYPE", "APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N"),
+    *("INTERVAL", "LEAP SECONDS", "SIGNAL STRENGTH UNIT"),
 }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
-from camber.formats.observations import MAX_SATELLITE_NUMBER, Ephemeris, ObservationEpoch
+from camber.formats.observations import MAX_SATELLITE_NUMBER, OBSERVABLES, Ephemeris, ObservationEpoch
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
@@ -144,8 +144,7 @@ class RtcmDecoder:
             # A station may send one signal in two kinds of messages: the first one counts.
             rows = np.sort(np.unique(keys, return_index=True)[1])
             integers, floats, keys = integers[:, rows], floats[:, rows], keys[rows]
-        satellite, signal, half_cycle = integers
-        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, max_lock_s = floats
+        observed, (lock_time_s, max_lock_s) = dict(zip(OBSERVABLES, floats, strict=False)), floats[4:]
         locks = self._locks.pop(station, None) or LossOfLockDetector()
         if len(self._locks) == _MAX_STATIONS:
             del self._locks[next(iter(self._locks))]
@@ -153,21 +152,18 @@ class RtcmDecoder:
         loss_of_lock = locks.detect(
             time_ns,
             keys,
-            has_phase=~np.isnan(carrier_phase_cycles),
+            has_phase=~np.isnan(observed["carrier_phase_cycles"]),
             min_lock_s=lock_time_s,
             max_lock_s=max_lock_s,
         )
         epoch = ObservationEpoch(
             time_ns=time_ns,
-            satellite=satellite,
-            signal=signal,
-            pseudorange_m=pseudorange_m,
-            carrier_phase_cycles=carrier_phase_cycles,
-            doppler_hz=doppler_hz,
-            cn0_dbhz=cn0_dbhz,
+            satellite=integers[0],
+            signal=integers[1],
+            **observed,
             lock_time_s=lock_time_s,
             loss_of_lock=loss_of_lock,
-            half_cycle=half_cycle.astype(np.bool_),
+            half_cycle=integers[2].astype(np.bool_),
         )
         return BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)
 
@@ -179,8 +175,9 @@ class _BitReader:
         self._bits = int.from_bytes(payload, "big")
         self._left = 8 * len(payload)
 
-    def take(self, width: int, *, signed: bool = False) -> int:
-        self._left -= width
+    def take(self, width: int, *, skip: int = 0, signed: bool = False) -> int:
+        """Return the integer after `skip` bits."""
+        self._left -= skip + width
         if self._left < 0:
             raise ValueError("message is cut short")
         value = self._bits >> self._left & (1 << width) - 1
@@ -189,16 +186,12 @@ class _BitReader:
 
 def _reference_station(payload: bytes, number: int) -> ReferenceStation:
     bits = _BitReader(payload)
-    bits.take(12)
-    station_id = bits.take(12)
-    bits.take(6 + 4)
-    x = bits.take(38, signed=True)
-    bits.take(2)
-    y = bits.take(38, signed=True)
-    bits.take(2)
-    z = bits.take(38, signed=True)
+    station_id = bits.take(12, skip=12)
+    bits.take(6 + 4 - 2)
+    # Two flags or reserved bits, then a coordinate.
+    x, y, z = (bits.take(38, skip=2, signed=True) * 1e-4 for _ in "xyz")
     height_m = bits.take(16) * 1e-4 if number == 1006 else None
-    position_ecef_m = (x * 1e-4, y * 1e-4, z * 1e-4)
+    position_ecef_m = (x, y, z)
     return ReferenceStation(station_id=station_id, position_ecef_m=position_ecef_m, antenna_height_m=height_m)
 
 

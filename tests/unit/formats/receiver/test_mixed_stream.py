@@ -111,18 +111,9 @@ def test_truncated_frame_costs_only_itself(seed, cut_kind, whole_kind):
 
 
 def test_false_length_does_not_cost_the_following_frames():
-    false_beginnings = [
-        b"\xb5\x62\x01\x07\xff\xff",
-        b"\xb5\x62\x01\x07" + (MAX_UBX_PAYLOAD_BYTES + 1).to_bytes(2, "little"),
-        b"\xb5\x62\x01\x07" + MAX_UBX_PAYLOAD_BYTES.to_bytes(2, "little"),
-        b"\xd3\x03\xff",
-        b"\xd3\xff\xff",
-        b"$GNGGA,",
-        b"\xb5",
-        b"\xb5\x62",
-        b"\xd3",
-        b"$",
-    ]
+    lengths = (0xFFFF, MAX_UBX_PAYLOAD_BYTES + 1, MAX_UBX_PAYLOAD_BYTES)
+    false_beginnings = [b"\xb5\x62\x01\x07" + length.to_bytes(2, "little") for length in lengths]
+    false_beginnings += [b"\xd3\x03\xff", b"\xd3\xff\xff", b"$GNGGA,", b"\xb5", b"\xb5\x62", b"\xd3", b"$"]
     for false_beginning in false_beginnings:
         buffer = FrameBuffer(*EVERY)
         decoded = buffer.feed(false_beginning + POLL * 3) + buffer.finish()

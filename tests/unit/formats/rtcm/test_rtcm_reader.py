@@ -72,12 +72,8 @@ def test_decoded_observations_are_within_the_resolution(seed, away_s, of_week_ms
         carrier = COMMON[chr(satellite >> 8)][signal_name(signal)]
         per_ms = LIGHT_M_S * 1e-3
         row = ours[satellite, signal]
-        steps = (
-            per_ms * 2.0**-29,
-            per_ms * 2.0**-31 * carrier / LIGHT_M_S,
-            1e-4 * carrier / LIGHT_M_S,
-            2.0**-4,
-        )
+        per_m = carrier / LIGHT_M_S
+        steps = (per_ms * 2.0**-29, per_ms * 2.0**-31 * per_m, 1e-4 * per_m, 2.0**-4)
         for got, given_, step in zip(row, (code, phase, doppler, cn0), steps, strict=False):
             assert math.isnan(got) == math.isnan(given_)
             assert math.isnan(got) or abs(got - given_) <= 0.5 * step + 1e-6
@@ -106,20 +102,15 @@ def test_decoded_ephemerides_have_the_encoded_integers(seed, name, hours):
     sent = integers_from_ephemeris(ephemeris)
     for decoded in results:
         assert isinstance(decoded, Ephemeris)
-        assert (decoded.toe_ns, decoded.toc_ns, decoded.transmission_ns) == (
-            toe_ns,
-            ephemeris.toc_ns,
-            near_ns,
-        )
+        times_ns = (decoded.toe_ns, decoded.toc_ns, decoded.transmission_ns)
+        assert times_ns == (toe_ns, ephemeris.toc_ns, near_ns)
         if name[0] != "E":
             assert integers_from_ephemeris(decoded) == sent
     if name[0] == "E":
         fnav, inav = results
         assert (fnav.other["data_sources"], inav.other["data_sources"]) == (258.0, 517.0)
-        assert integers_from_ephemeris(inav) | {"e5a_health": 0, "e5a_invalid": 0} == sent | {
-            "e5a_health": 0,
-            "e5a_invalid": 0,
-        }
+        absent = {"e5a_health": 0, "e5a_invalid": 0}
+        assert integers_from_ephemeris(inav) | absent == sent | absent
         assert "bgd_e5b_s" not in fnav.other
         assert fnav.health == ephemeris.health & 0b111000
 
