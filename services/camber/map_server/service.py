@@ -13,9 +13,8 @@ from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.download_thread import DownloadThread
 from camber.map_server.links import unknown_links
 from camber.map_server.release_download import FolderSupplier, ReleaseDownload, SupplierUnavailableError
-from camber.map_server.release_queries import ReleaseQueries
+from camber.map_server.release_queries import ReleaseQueries, unknown_tile
 from camber.map_server.settings import MapServerSettings
-from camber.map_server.tile_parts import unknown_tile
 from camber.map_server.warm_up import warm_up
 from camber.road_map.release import BlobMissingError, Release, ReleaseError, load_public_key
 from camber.road_map.release_watch import ReleaseWatch

@@ -6,7 +6,8 @@ import hashlib
 
 import pytest
 
-from camber.map_server.tile_parts import PART_BYTES, tile_part
+from camber.map_server.release_queries import tile_part
+from camber.road_map.release_files import PART_BYTES
 from camber.schemas.codec import encode
 from camber.schemas.road import TileReply, TileRequest
 from support.small_map import MADE_NS

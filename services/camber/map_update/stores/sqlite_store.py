@@ -14,7 +14,7 @@ Deleted content is overwritten (`secure_delete`), because it shows where vehicle
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import groupby
 from operator import itemgetter
@@ -164,33 +164,23 @@ class SqliteStore(Store):
                 what = f"format {version}, expected at most {FORMAT}: made by a later version"
                 raise StoreError(f"{self.name}: {what}")
             if version < FORMAT:
-                _MIGRATIONS[version](self._db)
+                _migrate(self._db, version)
                 self._fetch(f"PRAGMA user_version = {FORMAT}")
             if defect := layout_defect(dict(self._fetch("SELECT name, descr FROM layout"))):
                 raise StoreError(f"{self.name}: {defect}")
 
 
-def _create(db: sqlite3.Connection) -> None:
-    db.execute(_LEDGER)
-    _add_tables(db)
-
-
-def _convert_from_1(db: sqlite3.Connection) -> None:
-    """Convert format 1: one database row for each observation, and no tables of the fusion."""
-    db.execute("ALTER TABLE observation RENAME TO observation_1")
-    _add_tables(db)
+def _migrate(db: sqlite3.Connection, version: int) -> None:
+    """Create the tables, or convert format 1: one database row for each observation, and no tables of the fusion."""
+    db.execute(_LEDGER if version == 0 else "ALTER TABLE observation RENAME TO observation_1")
+    for statement in _TABLES:
+        db.execute(statement)
+    db.executemany("INSERT INTO layout VALUES (?, ?)", list(LAYOUT.items()))
+    if version == 0:
+        return
     columns = ", ".join(OBSERVATION.names or ())
     selected = db.execute(f"SELECT contribution, {columns} FROM observation_1 ORDER BY contribution, rowid")
     for number, rows in groupby(selected, key=itemgetter(0)):
         array = np.array([row[1:] for row in rows], OBSERVATION)
         db.execute("INSERT INTO observation VALUES (?, ?)", (number, array.tobytes()))
     db.execute("DROP TABLE observation_1")
-
-
-def _add_tables(db: sqlite3.Connection) -> None:
-    for statement in _TABLES:
-        db.execute(statement)
-    db.executemany("INSERT INTO layout VALUES (?, ?)", list(LAYOUT.items()))
-
-
-_MIGRATIONS: dict[int, Callable[[sqlite3.Connection], None]] = {0: _create, 1: _convert_from_1}

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.localizer.map_clouds.tile_download import TileFetch
-from camber.map_server.tile_parts import PART_BYTES, tile_part, unknown_tile
+from camber.map_server.release_queries import tile_part, unknown_tile
+from camber.road_map.release_files import PART_BYTES
 from camber.schemas.codec import encode
 from camber.schemas.road import CloudTile, TileReply, TileRequest
 
