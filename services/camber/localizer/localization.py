@@ -272,8 +272,7 @@ class Localization:
         if matcher is not None:
             pose = (estimate.east_m, estimate.north_m, estimate.yaw_rad)
             match = matcher.step(pose, estimate.covariance, travelled_m=self._filter.travelled_m)
-        result = self._filter.couple_link(match)
-        self._diagnostics.count(f"link.{result.outcome}")
+        self._diagnostics.count(f"link.{self._filter.couple_link(match)}")
 
     def _on_jump(self) -> None:
         self._links.restart()

@@ -21,7 +21,7 @@ class PoseEstimate:
 
     Ages are None for sources that never came; speed and yaw rate are None where the last reading gave none. With an
     unknown heading `yaw_known` is false and yaw has no meaning. `conflict`: the source that contradicts the pose; the
-    covariance covers both. `motion_late_s`: other sources are this much newer than the last motion sample.
+    covariance covers both.
     """
 
     time_ns: int
@@ -39,16 +39,13 @@ class PoseEstimate:
     rotation_age_s: float | None
     anchor_age_s: float | None
     match_age_s: float | None
-    link_age_s: float | None
     link_status: Literal["none", "ambiguous", "matched"]
     link_id: LinkId | None
     link_level: int | None
     link_candidates: tuple[LinkId, ...]
     link_offset_m: float
-    link_offset_sigma_m: float
     conflict: ConflictSource | None = None
     wheel_slip_suspected: bool = False
-    motion_late_s: float = 0.0
 
     @property
     def horizontal_sigma_m(self) -> float:

@@ -12,8 +12,6 @@ have shown where the vehicle is, the pose begins anew from them and no longer de
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from camber.geodesy.angles import wrap_pi
@@ -51,7 +49,7 @@ from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag, RelativeTrack, TrackPoint
 from camber.localizer.filter.wheel_slip import WheelSlipDetector
 from camber.localizer.filter.yaw_rate_coupling import YawRateCoupling
-from camber.localizer.links.link_coupling import CouplingResult, LinkCoupling
+from camber.localizer.links.link_coupling import CouplingOutcome, LinkCoupling
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M
 
@@ -87,7 +85,6 @@ class PoseFilter:
         self._anchor_ns: int | None = None
         self._match_ns: int | None = None
         self._position_match_ns: int | None = None  # of the last match that determined both directions
-        self._latest_input_ns = 0
 
     # Output
 
@@ -125,7 +122,6 @@ class PoseFilter:
             return None
         x, p, step, match = self.state.x, self.state.p, self._last_step, self._link.match
         blind = step is None or self._speed_ns != now
-        lane_var = p[LANE, LANE] + p[DEVIATION, DEVIATION] + 2.0 * p[LANE, DEVIATION]
         return PoseEstimate(
             time_ns=now,
             mode=self.mode,
@@ -142,16 +138,13 @@ class PoseFilter:
             rotation_age_s=self._age_s(self._rotation_ns),
             anchor_age_s=self._age_s(self._anchor_ns),
             match_age_s=self._age_s(self._position_match_ns),
-            link_age_s=self._age_s(self._link.coupled_ns),
             link_status=match.status,
             link_id=match.link_id,
             link_level=match.level,
             link_candidates=match.candidates,
             link_offset_m=float(x[LANE] + x[DEVIATION]),
-            link_offset_sigma_m=math.sqrt(max(0.0, float(lane_var))),
             conflict=self._conflict.source(now),
             wheel_slip_suspected=self._wheel_slip.active,
-            motion_late_s=max(0.0, (self._latest_input_ns - now) * 1e-9),
         )
 
     def prediction_at(self, time_ns: int) -> Prediction | None:
@@ -184,7 +177,6 @@ class PoseFilter:
             self._speed_ns = sample.time_ns
         if reading(sample, model.a_rate_sensor) is not None:
             self._rotation_ns = sample.time_ns
-        self._latest_input_ns = max(self._latest_input_ns, sample.time_ns)
         if step.dt_s > model.max_bridge_s:
             self._lose_pose()
         bias, scale, gain = float(state.x[BIAS_A]), float(state.x[SCALE]), float(state.x[TURN_GAIN])
@@ -234,18 +226,14 @@ class PoseFilter:
 
     # Links
 
-    def couple_link(self, match: LinkMatch) -> CouplingResult:
+    def couple_link(self, match: LinkMatch) -> CouplingOutcome:
         """Set the current link and couple the pose with it, where due and where its direction is meaningful."""
         self._link.set_link(match)
         self.couple_rotation()
         if self._provenance == "none" or not self.model.couple_links:
-            return CouplingResult("no_pose")
-        return self._link.couple(
-            self.time_ns,
-            self.travelled_m,
-            standing=self._odometer.standing,
-            heading_known=self._initialization.heading_known,
-        )
+            return "no_pose"
+        standing, heading_known = self._odometer.standing, self._initialization.heading_known
+        return self._link.couple(self.travelled_m, standing=standing, heading_known=heading_known)
 
     def couple_rotation(self) -> None:
         """Couple the two rotation sensors, where there are two."""
@@ -261,7 +249,6 @@ class PoseFilter:
         """
         require_finite(east_m=east_m, north_m=north_m)
         require_covariance("covariance", covariance, 2)
-        self._latest_input_ns = max(self._latest_input_ns, time_ns)
         now, here = self.time_ns, self._track_now()
         then = self.track.at(time_ns)
         if now is None or then is None or here is None:
@@ -310,7 +297,6 @@ class PoseFilter:
         east_m, north_m, yaw_rad = (float(value) for value in pose)
         require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad)
         require_covariance("covariance", covariance, 3)
-        self._latest_input_ns = max(self._latest_input_ns, time_ns)
         now, here, then = self.time_ns, self._track_now(), self.track.at(time_ns)
         if now is None or self._provenance == "none" or here is None:
             return MatchUpdate("no_pose")
@@ -365,9 +351,9 @@ class PoseFilter:
         offset = (east - float(x[EAST]), north - float(x[NORTH]), wrap_pi(yaw - float(x[YAW])))
         nis = (offset[0] ** 2 + offset[1] ** 2) / variance
         if not unique or nis > self.model.match_gate:
-            return MatchUpdate("outside_gate", nis, offset)
+            return MatchUpdate("outside_gate", offset)
         self._begin_from(match, here, np.zeros(2))
-        return MatchUpdate("accepted", nis, offset)
+        return MatchUpdate("accepted", offset)
 
     def _handle_persistent(self, match: MatchedPose, here: TrackPoint, rejected: MatchUpdate) -> MatchUpdate:
         """Recover by rejected matches that agree with one another, or report the conflict."""

@@ -43,11 +43,9 @@ suspected."""
 
 
 class MatchUpdate(NamedTuple):
-    """Outcome of a scan match; `nis` is the normalised innovation squared (3 degrees of freedom), `innovation` the
-    match less the pose: east, north [m], yaw [rad]."""
+    """Outcome of a scan match; `innovation`: the match less the pose, east, north [m], yaw [rad]."""
 
     outcome: MatchOutcome
-    nis: float | None = None
     innovation: tuple[float, float, float] | None = None
 
     @property
@@ -97,14 +95,14 @@ class ScanMatches:
         innovation = (east, north, yaw)
         nis = observation.nis(self._state.p)
         if not unique and self._is_pose_less_precise(match):
-            return MatchUpdate("outside_gate", nis, innovation)
+            return MatchUpdate("outside_gate", innovation)
         if nis > self._model.slip_gate and self._detect_slip(observation, match):
             observation = self._observation(match, here)
             nis = observation.nis(self._state.p)
         if nis > self._model.match_gate:
             self.sequence.add(match, unique=unique)
             self._rejected_ns = match.time_ns
-            return MatchUpdate("outside_gate", nis, innovation)
+            return MatchUpdate("outside_gate", innovation)
         slip = float(self._state.x[WHEEL_SLIP])
         self._state.update_joseph(
             observation.h,
@@ -114,7 +112,7 @@ class ScanMatches:
         )
         self._wheel_slip.record_update(slip)
         self.accept(match)
-        return MatchUpdate("accepted", nis, innovation)
+        return MatchUpdate("accepted", innovation)
 
     def accept(self, match: MatchedPose) -> None:
         """Record that the pose follows this match."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -36,14 +36,6 @@ CouplingOutcome: TypeAlias = (
 )
 
 
-class CouplingResult(NamedTuple):
-    """Outcome of a coupling; innovation of row 1 [m] and its normalised square (1 degree of freedom)."""
-
-    outcome: CouplingOutcome
-    innovation_m: float | None = None
-    nis: float | None = None
-
-
 class LinkCoupling:
     """The link in use, and the states of the vehicle's offset from it."""
 
@@ -52,7 +44,6 @@ class LinkCoupling:
         self._memory = LinkOffsetMemory(state, model)
         self.match = LinkMatch(status="none")
         self.sigma_m = 0.0  # of the link in use
-        self.coupled_ns: int | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -82,21 +73,18 @@ class LinkCoupling:
         if self.match.line is not None:
             self.match = replace(self.match, line=self.match.line.shifted(east_m, north_m))
 
-    def couple(
-        self, time_ns: int | None, travelled_m: float, *, standing: bool, heading_known: bool
-    ) -> CouplingResult:
+    def couple(self, travelled_m: float, *, standing: bool, heading_known: bool) -> CouplingOutcome:
         """Couple with the current link, where due and where its direction is meaningful."""
         refusal = self._refusal(travelled_m, standing, heading_known)
         if refusal is not None or self.match.line is None:
-            return CouplingResult(refusal or "not_matched")
+            return refusal or "not_matched"
         self._enter_link()
         self._coupled_at_m = travelled_m
         self._memory.recall(self.match, self._along_sigma_m(self.match.line.alpha_rad))
-        result = self._couple_offset()
-        if result.outcome == "coupled":
-            self.coupled_ns = time_ns
+        outcome = self._couple_offset()
+        if outcome == "coupled":
             self._memory.keep(self.match)
-        return result
+        return outcome
 
     def _refusal(self, travelled_m: float, standing: bool, heading_known: bool) -> CouplingOutcome | None:
         model, match, p = self._model, self.match, self._state.p
@@ -144,7 +132,7 @@ class LinkCoupling:
         self._alpha, self._link = match.line.alpha_rad, match.link_id
         self._forward = match.forward
 
-    def _couple_offset(self) -> CouplingResult:
+    def _couple_offset(self) -> CouplingOutcome:
         match, state = self.match, self._state
         assert match.line is not None
         x = state.x
@@ -159,13 +147,12 @@ class LinkCoupling:
         innovation -= h[0, SHIFT_EAST] * x[SHIFT_EAST] + h[0, SHIFT_NORTH] * x[SHIFT_NORTH]
         noise = np.array([[self._model.road_noise_m**2]])
         variance = float((h @ state.p @ h.T)[0, 0] + noise[0, 0])
-        nis = float(innovation[0]) ** 2 / variance
-        if nis > self._model.coupling_gate:
+        if float(innovation[0]) ** 2 / variance > self._model.coupling_gate:
             self._rejections += 1
             if self._rejections < self._model.lane_change_after_rejections:
-                return CouplingResult("rejected", float(innovation[0]), nis)
+                return "rejected"
             state.set_independent(LANE, self._model.lane_sigma_m**2 + float(innovation[0]) ** 2)
             state.set_independent(DEVIATION, match.sigma_m**2)
         self._rejections = 0
         state.update(h, innovation, noise)
-        return CouplingResult("coupled", float(innovation[0]), nis)
+        return "coupled"

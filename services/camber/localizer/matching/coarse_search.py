@@ -66,8 +66,7 @@ class SearchResult:
     match: LayeredMatch
     unique: bool
     score: float
-    """Share of all layers' points that lie on the map, of the best match and of the next best other one."""
-    next_score: float
+    """Share of all layers' points that lie on the map, of the best match."""
     best: LayeredMatch
     """The match without regard to rivals."""
     rivals: tuple[LayeredMatch, ...] = ()
@@ -88,18 +87,17 @@ def search(scan: MatchInput, options: MatchOptions, reach: SearchRange = FULL_RA
             scored[same] = (score, match)
     if not scored:
         lost = match_layers(scan, options)
-        return SearchResult(match=lost, unique=False, score=0.0, next_score=0.0, best=lost)
+        return SearchResult(match=lost, unique=False, score=0.0, best=lost)
     scored.sort(key=lambda item: -item[0])
-    (score, best), next_score = scored[0], scored[1][0] if len(scored) > 1 else 0.0
-    match, unique = best, next_score < UNIQUE_RATIO * score
-    rivals: tuple[LayeredMatch, ...] = ()
-    if best.status != "lost" and not unique:
-        rivals = tuple(other for other_score, other in scored[1:] if other_score >= UNIQUE_RATIO * score)
+    score, match = scored[0]
+    best, rivals = match, tuple(other for points, other in scored[1:] if points >= UNIQUE_RATIO * score)
+    unique = not rivals and score > 0.0
+    if best.status == "lost":
+        rivals = ()
+    if rivals:
         spread = sum((_offset_square(best, rival) for rival in rivals), np.zeros((3, 3)))
         match = replace(best, status="ambiguous", reason="not_unique", covariance=best.covariance + spread)
-    return SearchResult(
-        match=match, unique=unique, score=score, next_score=next_score, best=best, rivals=rivals
-    )
+    return SearchResult(match=match, unique=unique, score=score, best=best, rivals=rivals)
 
 
 def seems_mirrored(scan: MatchInput, options: MatchOptions) -> bool:

@@ -62,20 +62,18 @@ def sweep_motions(track: RelativeTrack, time_ns: int, span_ns: int) -> tuple[Flo
 @compiled_without_gil
 def deskew(
     points_m: NDArray[np.float32], times: SweepTimes, vehicle_from_sensor: Floats, limits: SweepLimits
-) -> tuple[Floats, Mask, int]:
-    """Return the points in the vehicle frame of the end, which sectors saw anything, and how many were not finite."""
+) -> tuple[Floats, Mask]:
+    """Return the points in the vehicle frame of the end, and which sectors have any point."""
     n, knots = len(points_m), len(vehicle_from_sensor)
     kept = np.empty((n, 3))
     seen = np.zeros(SECTORS, np.bool_)
     at = 0
-    not_finite = 0
     per_ns = (knots - 1) / times.span_ns if times.span_ns > 0 else 0.0
     m = vehicle_from_sensor
     for i in range(n):
         x, y, z = float(points_m[i, 0]), float(points_m[i, 1]), float(points_m[i, 2])
         squared = x * x + y * y + z * z
         if not np.isfinite(squared):
-            not_finite += 1
             continue
         offset = times.offset_ns[i]
         if offset > 0 or offset < -times.longest_ns or squared < limits.min_range_m * limits.min_range_m:
@@ -114,4 +112,4 @@ def deskew(
             continue
         kept[at, 0], kept[at, 1], kept[at, 2] = px, py, pz
         at += 1
-    return kept[:at].copy(), seen, not_finite
+    return kept[:at].copy(), seen

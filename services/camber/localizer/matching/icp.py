@@ -113,11 +113,10 @@ class IcpOptions:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class IcpResult:
-    """map_from_local (4, 4) at the end, whether the iteration has converged, and the iterations."""
+    """map_from_local (4, 4) at the end, and whether the iteration has converged."""
 
     transform: Floats
     converged: bool
-    iterations: int
 
 
 def icp_point_to_plane(
@@ -126,7 +125,7 @@ def icp_point_to_plane(
     """Register clouds (n, 3) [m], each to its layer of the map, by one motion from `guess`, map_from_local (4, 4)."""
     transform = np.array(guess, dtype=np.float64)
     scale_m, searched_at, correspondences = options.first_scale_m, transform, list[Correspondences]()
-    for iteration in range(1, options.max_iterations + 1):
+    for _ in range(options.max_iterations):
         last = scale_m < max(NOISE_M, options.last_scale_m)
         narrow = scale_m < NOISE_M
         if not correspondences or _motion_m(transform, searched_at) > _SEARCH_AGAIN_M:
@@ -149,13 +148,13 @@ def icp_point_to_plane(
             ]
         )
         if equations is None:
-            return IcpResult(transform=transform, converged=False, iterations=iteration)
+            return IcpResult(transform=transform, converged=False)
         step = equations.step()
         transform = moved(transform, step, options.free)
         if last and (options.last_scale_m > NOISE_M or _has_converged(step, options.free)):
-            return IcpResult(transform=transform, converged=True, iterations=iteration)
+            return IcpResult(transform=transform, converged=True)
         scale_m *= _NARROWING
-    return IcpResult(transform=transform, converged=False, iterations=options.max_iterations)
+    return IcpResult(transform=transform, converged=False)
 
 
 def find_correspondences(target: LayerTarget, source_m: Floats, transform: Floats) -> Correspondences:

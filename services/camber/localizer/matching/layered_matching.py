@@ -199,14 +199,7 @@ def _register(
     )
     icp = icp_point_to_plane([(target, source_m)], joint.transform, refine)
     correspondences = find_correspondences(target, source_m, icp.transform)
-    iterations = icp.iterations + joint.iterations
-    fit = LayerFit.of(
-        icp.transform,
-        correspondences[1],
-        options.max_distance_m,
-        converged=icp.converged,
-        iterations=iterations,
-    )
+    fit = LayerFit.of(icp.transform, correspondences[1], d_max_m, converged=icp.converged)
     return fit, _offset(guess, fit.transform), correspondences
 
 

@@ -29,15 +29,12 @@ LEVEL: Final[Tilt] = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LocalCloud:
-    """Points (n, 3) in the vehicle frame at `time_ns`, of this number of sweeps, driven over `path_m`.
+    """Points (n, 3) in the vehicle frame of the newest sweep, and its lag from the mean of all sweeps.
 
-    `lag`: from the sweeps' mean. The match observes where they were; the motion since is dead reckoning's.
+    The match observes where the sweeps were; the motion since is dead reckoning's.
     """
 
-    time_ns: int
     points_m: Floats
-    sweeps: int
-    path_m: float
     lag: OverlayLag
 
 
@@ -111,21 +108,14 @@ class LocalMap:
             motion[:, 3] = newest_from_level @ (placed.position_m - newest.position_m)
         points = np.concatenate([placed.sweep.points_m for placed in newest_first])
         ends = np.cumsum([len(placed.sweep.points_m) for placed in newest_first])
-        return LocalCloud(
-            time_ns=newest.sweep.time_ns,
-            points_m=voxel_means(_moved(points, ends, motions, self._reach_m), self._voxel_m),
-            sweeps=len(self._placed),
-            path_m=newest.at.path_m - self._placed[0].at.path_m,
-            lag=self._lag(),
+        points_m = voxel_means(_moved(points, ends, motions, self._reach_m), self._voxel_m)
+        at, n = newest.at, len(self._placed)
+        lag = OverlayLag(
+            path_m=sum(at.path_m - placed.at.path_m for placed in self._placed) / n,
+            wheel_m=sum(at.wheel_m - placed.at.wheel_m for placed in self._placed) / n,
+            wheel_change_m_s=sum(at.wheel_m_s - placed.at.wheel_m_s for placed in self._placed) / n,
         )
-
-    def _lag(self) -> OverlayLag:
-        newest, n = self._placed[-1].at, len(self._placed)
-        return OverlayLag(
-            path_m=sum(newest.path_m - placed.at.path_m for placed in self._placed) / n,
-            wheel_m=sum(newest.wheel_m - placed.at.wheel_m for placed in self._placed) / n,
-            wheel_change_m_s=sum(newest.wheel_m_s - placed.at.wheel_m_s for placed in self._placed) / n,
-        )
+        return LocalCloud(points_m=points_m, lag=lag)
 
     def _is_discontinuous(
         self, last: _PlacedSweep, sweep: PreparedSweep, at: TrackPoint, *, attitude: Tilt | None

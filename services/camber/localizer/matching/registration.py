@@ -103,28 +103,21 @@ class LayerFit:
     transform: Floats
     """map_from_local (4, 4): Mᵢ of JP2016-109650A composed with the guess."""
     converged: bool
-    iterations: int
     points: int
     """Source points."""
-    pairs: int
-    """Correspondences within d_max."""
     mean_distance_m: float
     """eᵢ of JP2016-109650A eq. (7): mean distance of the correspondences; infinite without any."""
     overlap: float
     """Share of the points with a map point within `OVERLAP_DISTANCE_M`."""
 
     @classmethod
-    def of(
-        cls, transform: Floats, distance_m: Floats, max_distance_m: float, *, converged: bool, iterations: int
-    ) -> LayerFit:
+    def of(cls, transform: Floats, distance_m: Floats, max_distance_m: float, *, converged: bool) -> LayerFit:
         """Evaluate the registration at `transform`, by the distances (n,) to the map there."""
         paired = distance_m <= max_distance_m
         return cls(
             transform=transform,
             converged=converged and bool(paired.any()),
-            iterations=iterations,
             points=len(distance_m),
-            pairs=int(np.count_nonzero(paired)),
             mean_distance_m=float(distance_m[paired].mean()) if paired.any() else np.inf,
             overlap=float(np.mean(distance_m <= OVERLAP_DISTANCE_M)) if len(distance_m) else 0.0,
         )
@@ -143,7 +136,7 @@ def register(
     source_m = np.ascontiguousarray(source_m, dtype=np.float64)
     nothing = np.full(len(source_m), np.inf)
     if target.empty or len(source_m) < NEIGHBOURS:
-        return LayerFit.of(guess.copy(), nothing, max_distance_m, converged=False, iterations=0)
+        return LayerFit.of(guess.copy(), nothing, max_distance_m, converged=False)
     source = small_gicp.PointCloud(source_m)
     limits = (max_distance_m, 1, max_iterations, ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M)
     if method in ("plane_to_plane", "vgicp"):
@@ -155,12 +148,6 @@ def register(
         result = small_gicp.align(target.cloud, source, target.tree, guess, kind, *limits)
     transform = result.T_target_source
     if not np.isfinite(transform).all():
-        return LayerFit.of(guess.copy(), nothing, max_distance_m, converged=False, iterations=0)
+        return LayerFit.of(guess.copy(), nothing, max_distance_m, converged=False)
     _, distance_m = target.nearest(transform_points(transform, source_m))
-    return LayerFit.of(
-        transform,
-        distance_m,
-        max_distance_m,
-        converged=bool(result.converged),
-        iterations=int(result.iterations),
-    )
+    return LayerFit.of(transform, distance_m, max_distance_m, converged=bool(result.converged))

@@ -85,18 +85,13 @@ DEFAULT_OPTIONS: Final = SweepOptions()
 class PreparedSweep:
     """Points (m, 3) in the vehicle frame at `time_ns`, the sweep's end; none where the sweep is not usable.
 
-    `coverage`: share of all directions (azimuth, in the sensor) with any point; `dropped`: points that were not
-    finite or not of this sweep's time; `at`: the track's point at the end; `skew_m`: distance driven during a sweep
-    that could not be deskewed (0 where it could; None where the distance is not known).
+    `at`: the track's point at the end.
     """
 
     time_ns: int
     points_m: Floats
     problem: SweepProblem | None
-    coverage: float = 0.0
-    dropped: int = 0
     at: TrackPoint | None = None
-    skew_m: float | None = None
 
     @property
     def usable(self) -> bool:
@@ -130,7 +125,7 @@ def prepare_sweep(
     of_sweep = (offset_ns <= 0) & (offset_ns >= -longest_ns)
     span_ns = -int(offset_ns[of_sweep].min(initial=0))
     motions, at = sweep_motions(track, time_ns, span_ns)
-    kept, seen, not_finite = deskew(
+    kept, seen = deskew(
         np.ascontiguousarray(points_m, np.float32),
         SweepTimes(np.ascontiguousarray(offset_ns, np.int32), longest_ns, span_ns),
         motions @ mount.vehicle_from_sensor,
@@ -158,15 +153,7 @@ def prepare_sweep(
         problem = "half_sweep"
     elif same_time:
         problem = "no_offsets"
-    return PreparedSweep(
-        time_ns=time_ns,
-        points_m=voxel_means(kept, options.voxel_m),
-        problem=problem,
-        coverage=coverage,
-        dropped=bad_offsets + not_finite,
-        at=at,
-        skew_m=_skew_m(track, time_ns, at, same_time),
-    )
+    return PreparedSweep(time_ns=time_ns, points_m=voxel_means(kept, options.voxel_m), problem=problem, at=at)
 
 
 def _wrong_time(
@@ -181,18 +168,8 @@ def _wrong_time(
     return None
 
 
-def _skew_m(track: RelativeTrack, time_ns: int, at: TrackPoint | None, same_time: bool) -> float | None:
-    """Return the distance driven during a sweep without times of its points, taken to last a tenth of a second."""
-    if at is None:
-        return None
-    if not same_time:
-        return 0.0
-    before = track.at(time_ns - 100_000_000)
-    return None if before is None else at.path_m - before.path_m
-
-
 def _sector_share() -> Floats:
-    """Return the share of the full turn of each sector; sectors are even in y / (|x| + |y|), not in the angle."""
+    """Return the share of the full turn of each sector, even in y / (|x| + |y|) and not in the azimuth."""
     edge = np.linspace(0.0, 4.0, SECTORS + 1)
     quarter, rest = np.divmod(edge[:-1], 1.0)
     begin = quarter * 0.5 * math.pi + np.arctan2(rest, 1.0 - rest)

@@ -67,9 +67,6 @@ class GroundPlane:
     dz_m: float
     roll_rad: float
     pitch_rad: float
-    tilt_sigma_rad: float
-    points: int
-    residual_m: float
     problem: Literal["mounting"] | None
 
     @property
@@ -139,9 +136,6 @@ def ground_plane(
         dz_m=dz_m,
         roll_rad=roll,
         pitch_rad=pitch,
-        tilt_sigma_rad=math.sqrt(max(fit.covariance[1, 1], fit.covariance[2, 2])),
-        points=fit.points,
-        residual_m=fit.residual_m,
         problem="mounting" if off else None,
     )
 
@@ -155,7 +149,6 @@ class _RoadPlane:
     left: float
     covariance: Floats
     points: int
-    residual_m: float
 
 
 def _fitted(points_m: Floats, *, across: bool) -> _RoadPlane | None:
@@ -190,14 +183,7 @@ def _fitted(points_m: Floats, *, across: bool) -> _RoadPlane | None:
     covariance[0, 0] += _MIN_SIGMA_M**2
     used = weight > 0.0
     a, b, c, _ = solution.tolist()
-    return _RoadPlane(
-        at_origin_m=a,
-        ahead=b,
-        left=c,
-        covariance=covariance,
-        points=int(used.sum()),
-        residual_m=float(np.sqrt(np.mean(residual[used] ** 2))),
-    )
+    return _RoadPlane(at_origin_m=a, ahead=b, left=c, covariance=covariance, points=int(used.sum()))
 
 
 @compiled_without_gil

@@ -17,15 +17,7 @@ BEGIN_NS = 1_400_000_000 * 10**9
 
 
 def sweep(points_m: NDArray[np.float64], k: int) -> PreparedSweep:
-    return PreparedSweep(
-        time_ns=BEGIN_NS + k * 100_000_000,
-        points_m=points_m,
-        problem=None,
-        coverage=1.0,
-        dropped=0,
-        at=None,
-        skew_m=0.0,
-    )
+    return PreparedSweep(time_ns=BEGIN_NS + k * 100_000_000, points_m=points_m, problem=None, at=None)
 
 
 def world(seed: int = 1, n: int = 2000) -> NDArray[np.float64]:
@@ -53,8 +45,7 @@ def test_what_stands_still_falls_on_itself() -> None:
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
     result = local.overlay()
     assert result is not None
-    assert (result.sweeps, result.time_ns) == (10, BEGIN_NS + 900_000_000)
-    assert result.path_m == pytest.approx(13.5)
+    assert len(local) == 10
     truth = seen_from(points, arc(9))
     assert len(result.points_m) < 1.5 * len(truth)  # what falls on an edge of a voxel may stand twice
     nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
@@ -67,7 +58,7 @@ def test_only_the_last_ten_are_kept() -> None:
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
     result = local.overlay()
     assert result is not None
-    assert (len(local), result.sweeps) == (10, 10)
+    assert len(local) == 10
 
 
 def test_standing_still_adds_nothing() -> None:

@@ -40,13 +40,11 @@ ON = PoseEstimate(
     rotation_age_s=0.0,
     anchor_age_s=None,
     match_age_s=0.0,
-    link_age_s=0.0,
     link_status="ambiguous",
     link_id=1,
     link_level=None,
     link_candidates=ALL,
     link_offset_m=0.0,
-    link_offset_sigma_m=1.0,
 )
 
 
