@@ -36,7 +36,6 @@ def test_a_tyre_that_loses_a_centimetre_is_detected_within_thirty_seconds_and_no
     heights = run(drive, settings_of(way="stroke"))
     assert all(one.status == "known" for one in heights if one.time_ns < onset_ns)
     after_s = noticed_after_s(drive, heights, onset_ns)
-    assert after_s is not None
     assert after_s <= 30.0
     assert "stroke" in heights[-1].reason
     assert "ranging" in heights[-1].reason
@@ -59,7 +58,6 @@ def test_a_tyre_or_a_load_is_detected_with_a_matched_height_and_nothing_before(
     heights = run(drive, settings_of(way="automatic"))
     assert all(one.status == "known" for one in heights[1:] if one.time_ns < onset_ns)
     after_s = noticed_after_s(drive, heights, onset_ns)
-    assert after_s is not None
     assert after_s <= 30.0
 
 

@@ -266,7 +266,6 @@ def test_only_fixes_that_claim_to_be_fixed_start_anything(quality: str) -> None:
     drive = Drive()
     for tenth in range(50):
         pose = drive.step(fix_at(tenth, tenth * 1.0, quality=quality))
-    assert pose is not None
     assert pose.mode == "none"
 
 
@@ -274,7 +273,6 @@ def test_fixes_that_do_not_follow_the_motion_start_nothing() -> None:
     drive = Drive()
     for tenth in range(60):
         pose = drive.step(fix_at(tenth, tenth * 1.2))
-    assert pose is not None
     assert pose.mode == "none"
 
 
@@ -283,7 +281,6 @@ def test_a_fix_without_a_usable_covariance_starts_nothing_and_breaks_nothing(cov
     drive = Drive()
     for tenth in range(30):
         pose = drive.step(fix_at(tenth, tenth * 1.0, covariance_enu_m2=covariance))
-    assert pose is not None
     assert pose.mode == "none"
     assert set(drive.codes()) == (set() if covariance is None else {"unusable_covariance"})
 
@@ -300,11 +297,9 @@ def test_a_first_fix_anywhere_on_earth_does_not_prevent_the_start(latitude: floa
 def test_a_given_pose_starts_at_once_and_is_not_provisional() -> None:
     drive = Drive(initial_pose=GIVEN)
     pose = drive.step()
-    assert pose is not None
     assert (pose.mode, pose.provenance) == ("dead_reckoning", "given")
     assert drive.off_m(pose) < 0.01
     covariance = pose.covariance_east_north_yaw
-    assert covariance is not None
     assert math.sqrt(covariance[0]) == pytest.approx(0.5, rel=0.01)
     assert math.sqrt(covariance[5]) == pytest.approx(math.radians(1.0), rel=0.01)
 
@@ -333,10 +328,8 @@ def test_a_confirmed_position_anchors_the_pose(word: str) -> None:
     drive.run(20)
     anchor = verdict_at(drive.tenth, word, drive.east_m)
     pose = drive.step(anchor)
-    assert pose is not None
     assert (pose.mode, pose.provenance, pose.anchor_time_ns) == ("anchored", "confirmed", anchor.time_ns)
     covariance = pose.covariance_east_north_yaw
-    assert covariance is not None
     assert math.sqrt(covariance[0]) < 0.2
     assert drive.bus.counters["anchor.accepted"] == 1
 
@@ -358,7 +351,6 @@ def test_a_confirmation_without_a_whole_position_anchors_nothing(changed: dict[s
     drive = Drive(initial_pose=GIVEN)
     drive.run(10)
     pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, **changed))
-    assert pose is not None
     assert pose.provenance == "given"
 
 
@@ -366,7 +358,6 @@ def test_a_confirmation_of_a_covariance_that_is_none_anchors_nothing_and_breaks_
     drive = Drive(initial_pose=GIVEN)
     drive.run(10)
     pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, covariance_enu_m2=(0.0,) * 6))
-    assert pose is not None
     assert pose.provenance == "given"
     assert drive.codes() == {"unusable_covariance": 1}
 
@@ -602,7 +593,6 @@ def test_the_plane_moves_with_the_vehicle_and_the_pose_does_not_jump() -> None:
     planes = set()
     for _ in range(2300):  # 2.3 km
         pose = drive.step()
-        assert pose is not None
         assert pose.longitude_rad is not None
         assert previous.longitude_rad is not None
         step_m = (pose.longitude_rad - previous.longitude_rad) * 6.37e6 * math.cos(at(0.0, 0.0)[0])
@@ -611,7 +601,6 @@ def test_the_plane_moves_with_the_vehicle_and_the_pose_does_not_jump() -> None:
         planes.add(id(drive.service._localization._plane))
     assert len(planes) >= 2
     assert farthest < 0.2  # a coupling with a link may move it a little
-    assert previous.link_id is not None
     assert previous.link_id >= 109
 
 

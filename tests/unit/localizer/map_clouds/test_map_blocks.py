@@ -156,7 +156,6 @@ def test_its_road_is_the_road(block: MapBlock) -> None:
     for east in (-50.0, 0.0, 40.0):
         e, n = block.east_north(*at(east, 1.0))
         result = block.road.elevation(e, n, 0.0)
-        assert result is not None
         assert result.height_m + block.base_height_m == pytest.approx(BASE_M + 0.05 * east, abs=0.02)
         assert result.slope_east == pytest.approx(0.05, abs=0.005)
 
@@ -175,7 +174,6 @@ def test_metres_are_those_of_the_sensor_also_on_a_mountain() -> None:
         high = None if low is None else low.model_copy(update={"base_height_m": low.base_height_m + 3000.0})
         blocks.set_tile(layer, x, y, high)
     result = blocks.block_at(*at(5.0, -5.0))
-    assert result is not None
     ends = [result.east_north(*at(east, 6.0)) for east in (-50.0, 50.0)]
     assert math.dist(*ends) == pytest.approx(100.0 * (1.0 + 3045.0 / 6.36e6), abs=2e-3)
     pole = result.environment_m[np.abs(result.environment_m[:, 0] - ends[1][0]) < 0.15]
@@ -222,8 +220,6 @@ def test_only_the_last_few_blocks_are_kept() -> None:
     blocks.block_at(*at(-5.0, 5.0))
     again = blocks.block_at(*at(5.0, -5.0))
     assert again is not first
-    assert again is not None
-    assert first is not None
     assert again.environment_m.tobytes() == first.environment_m.tobytes()
 
 
@@ -256,7 +252,6 @@ def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
         there = tile(layer, x, y, clouds[layer]) if x == X else None
         blocks.set_tile(layer, x, y, there, "the release has no such tile")
     result = blocks.block_at(*at(5.0, -5.0))
-    assert result is not None
     assert {f"{layer} {X - 1} {y}" for layer in CLOUD_LAYERS for y in (Y - 1, Y)} <= set(result.missing)
     assert f"road_cloud {X} {Y}" not in result.missing
 
@@ -280,10 +275,8 @@ def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
         blocks.set_tile(layer, X, Y, tile(layer, X, Y, moved[layer]))
     again = blocks.block_at(*at(5.0, -5.0))
     assert again is not first
-    assert again is not None
     e, n = again.east_north(*at(30.0, -2.0))
     result = again.road.elevation(e, n, 5.0)
-    assert result is not None
     assert result.height_m + again.base_height_m == pytest.approx(BASE_M + 1.5 + 1.0, abs=0.03)
 
 
@@ -292,11 +285,9 @@ def test_a_tile_that_was_missing_and_comes_with_a_new_map_makes_blocks_anew() ->
     for layer, x, y in blocks.tiles_needed(*CORNER):
         blocks.set_tile(layer, x, y, tile(layer, x, y, clouds[layer]) if x == X else None)
     first = blocks.block_at(*at(5.0, -5.0))
-    assert first is not None
     blocks.forget_missing()
     load(blocks, clouds)
     again = blocks.block_at(*at(5.0, -5.0))
-    assert again is not None
     assert again.missing != first.missing
     assert len(again.environment_m) > len(first.environment_m)
 
@@ -314,7 +305,6 @@ def test_the_block_ahead_is_built_step_by_step() -> None:
         assert blocks.block_at(*at(5.0, -5.0)) is here
     assert steps == 1 + len(BOUNDS) + 1
     result = blocks.block_at(*ahead)
-    assert result is not None
     assert not result.build_next(BOUNDS)
 
 

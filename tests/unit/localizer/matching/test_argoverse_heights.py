@@ -79,7 +79,6 @@ def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> S
     east_m, north_m, up_m = (place_m - corner_m).tolist()
     _, _, yaw_rad = roll_pitch_yaw_from_rotation(sweep.city_from_egovehicle)
     alignment = align_to_road(points_m, block, PlanarPose(east_m, north_m, yaw_rad), near_m=up_m)
-    assert alignment is not None
     return measure_sensor_heights(
         points_m, ground_plane(points_m, mount), mount, matched=alignment.map_from_local, block=block
     )

@@ -72,7 +72,6 @@ def off(east_m: float = 0.0, up_m: float = 0.0, pitch_deg: float = 0.0) -> Float
 def test_height_and_attitude_are_those_of_the_sweep_and_not_of_the_overlay(match: Floats) -> None:
     result = heights(match)
     assert result.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
-    assert result.matched_sigma_m is not None
     assert 0.01 < result.matched_sigma_m < 0.02
     wanted = roll_pitch_yaw_from_rotation(TRUTH)
     assert roll_pitch_yaw_from_rotation(result.map_from_vehicle) == pytest.approx(wanted, abs=5e-4)
@@ -101,11 +100,9 @@ def test_off_the_road_of_the_map_no_height_is_known() -> None:
 
 def test_the_bodys_tilt_against_the_road_is_that_of_the_sweeps_ground() -> None:
     ground = ground_plane(SEEN, MOUNT)
-    assert ground is not None
     assert ground.tilt == pytest.approx((0.0, -NOSE_UP_RAD), abs=1e-3)
     assert heights(off(), ground).ground_m == pytest.approx(HEIGHT_M, abs=0.004)
     turned = ground_plane(SEEN @ TRUTH[:3, :3].T, MOUNT)  # as if it were level: six degrees
-    assert turned is not None
     assert (turned.problem, turned.tilt) == ("mounting", (0.0, 0.0))
     assert heights(off(), turned).misplaced
 
@@ -113,7 +110,6 @@ def test_the_bodys_tilt_against_the_road_is_that_of_the_sweeps_ground() -> None:
 @pytest.mark.parametrize("by", ["surface", "line"])
 def test_a_local_map_is_aligned_to_the_grade_by_its_ground_or_by_the_maps_line(by: RoadBy) -> None:
     alignment = align_to_road(SEEN, BLOCK, PlanarPose(0.0, 0.0, 0.0), near_m=0.2, by=by)
-    assert alignment is not None
     _, pitch_rad, _ = roll_pitch_yaw_from_rotation(alignment.map_from_local)
     assert abs(alignment.map_from_local[2, 3]) < 0.03
     # The line is the road's; only its own ground shows how the body stands on it.
@@ -124,7 +120,6 @@ def test_a_local_map_is_aligned_to_the_grade_by_its_ground_or_by_the_maps_line(b
 def test_without_ground_in_sight_the_maps_line_serves() -> None:
     walls = SEEN + np.array([0.0, 0.0, 2.0])
     alignment = align_to_road(walls, BLOCK, PlanarPose(0.0, 0.0, 0.0), near_m=0.2)
-    assert alignment is not None
     assert alignment.road is None
     assert abs(alignment.map_from_local[2, 3]) < 0.03
 

@@ -44,7 +44,6 @@ def test_what_stands_still_falls_on_itself() -> None:
     for k in range(10):
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
     result = local.overlay()
-    assert result is not None
     assert len(local) == 10
     truth = seen_from(points, arc(9))
     assert len(result.points_m) < 1.5 * len(truth)  # what falls on an edge of a voxel may stand twice
@@ -69,8 +68,6 @@ def test_standing_still_adds_nothing() -> None:
     for k in range(1, 30):
         local.add(sweep(seen_from(points, here), k), here)
     result = local.overlay()
-    assert alone is not None
-    assert result is not None
     np.testing.assert_allclose(result.points_m, alone.points_m, atol=1e-9)
 
 
@@ -89,7 +86,6 @@ def test_on_a_grade_the_path_rises_and_falls(grade_rad: float) -> None:
             (0.0, -grade_rad),
         )
     result = local.overlay()
-    assert result is not None
     truth = seen_from(points, true, up, pitch=-grade_rad)
     nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
@@ -102,7 +98,6 @@ def test_a_body_that_rolls_and_pitches_on_level_road_is_turned_back() -> None:
         seen = seen_from(points, arc(k), roll=roll, pitch=pitch)
         local.add(sweep(seen, k), arc(k), (roll, pitch), road_tilt=(roll, pitch))
     result = local.overlay()
-    assert result is not None
     truth = seen_from(points, arc(9), roll=roll, pitch=pitch)
     nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
@@ -116,7 +111,6 @@ def test_a_steady_grade_needs_no_attitude() -> None:
         seen = seen_from(points, place, along * math.sin(0.1), pitch=-0.1)
         local.add(sweep(seen, k), TrackPoint(east_m=along, north_m=0.0, yaw_rad=0.0, path_m=along))
     result = local.overlay()
-    assert result is not None
     nearest = np.abs(result.points_m[:, None] - seen[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
 
@@ -150,6 +144,5 @@ def test_what_is_beyond_reach_is_left_out() -> None:
     local = LocalMap(reach_m=20.0)
     local.add(sweep(world(), 0), TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.0, path_m=0.0))
     result = local.overlay()
-    assert result is not None
     assert 0 < len(result.points_m) < 2000
     assert np.hypot(result.points_m[:, 0], result.points_m[:, 1]).max() < 20.0

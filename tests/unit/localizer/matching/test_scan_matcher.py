@@ -152,7 +152,6 @@ def test_in_a_bare_corridor_the_along_direction_stays_unknown() -> None:
     )
     drive.run(30)
     covariance = drive.poses[-1].covariance_east_north_yaw
-    assert covariance is not None
     assert covariance[0] > 0.5**2
     assert covariance[3] < 0.1**2
     assert drive.error_m() < 3.0 * drive.sigma_m()

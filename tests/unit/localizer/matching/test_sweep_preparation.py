@@ -47,12 +47,10 @@ def measured(
     """As the sensor sees them on the way: each from where it was at the point's own time, by the track itself."""
     offset_ns = -np.random.default_rng(seed).integers(0, TURN_NS, len(points_m)).astype(np.int32)
     end = track.at(END_NS)
-    assert end is not None
     track_from_end = map_from_vehicle(end.east_m, end.north_m, 0.0, 0.0, 0.0, end.yaw_rad)
     seen = np.empty(points_m.shape, np.float32)
     for i, (point, offset) in enumerate(zip(points_m, offset_ns.tolist(), strict=True)):
         at = track.at(END_NS + offset)
-        assert at is not None
         track_from_vehicle = map_from_vehicle(at.east_m, at.north_m, 0.0, 0.0, 0.0, at.yaw_rad)
         sensor_from_end = invert(track_from_vehicle @ MOUNT.vehicle_from_sensor) @ track_from_end
         seen[i] = transform_points(sensor_from_end, point[None])[0]

@@ -50,7 +50,6 @@ def cars(seed: int, n: int = 600) -> Floats:
 )
 def test_the_map_s_road_under_the_vehicle(up_m: float, ahead: float, left: float, seed: int) -> None:
     result = road_line(road(seed, up_m=up_m, ahead=ahead, left=left))
-    assert result is not None
     assert result.dz_m == pytest.approx(up_m, abs=4.0 * result.dz_sigma_m)
     assert result.dpitch_rad == pytest.approx(-math.atan(ahead), abs=4.0 * result.dpitch_sigma_rad + 1e-4)
     assert result.droll_rad == pytest.approx(math.atan(left), abs=4.0 * result.droll_sigma_rad + 1e-4)
@@ -60,7 +59,6 @@ def test_the_map_s_road_under_the_vehicle(up_m: float, ahead: float, left: float
 
 def test_the_correction_puts_the_frame_onto_the_road() -> None:
     result = road_line(road(ahead=0.1, up_m=0.3, noise_m=0.0))
-    assert result is not None
     on_road = transform_points(result.local_from_road, np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
     np.testing.assert_allclose(on_road[:, 2], 0.3 + 0.1 * on_road[:, 0], atol=1e-3)
 
@@ -68,7 +66,6 @@ def test_the_correction_puts_the_frame_onto_the_road() -> None:
 def test_crossfall_with_points_to_one_side_only_does_not_lift_the_line() -> None:
     points = road(left=0.03)
     result = road_line(points[points[:, 1] > -0.5])
-    assert result is not None
     assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
@@ -77,8 +74,6 @@ def test_a_crowned_road_is_measured_on_the_driven_side() -> None:
     points = road(13, noise_m=0.005, least_m=3.0, half_width_m=8.0)
     points[:, 2] -= 0.03 * (np.abs(points[:, 1] - 2.0) - 2.0)
     line, plane = road_line(points), ground_plane(points, MOUNT)
-    assert line is not None
-    assert plane is not None
     assert line.dz_m == pytest.approx(0.0, abs=0.008)
     assert math.tan(line.droll_rad) == pytest.approx(0.03, abs=0.004)
     assert plane.dz_m == pytest.approx(0.0, abs=0.012)
@@ -86,13 +81,11 @@ def test_a_crowned_road_is_measured_on_the_driven_side() -> None:
 
 def test_another_road_above_does_not_count() -> None:
     result = road_line(np.concatenate((road(2, n=800), road(3, n=8000, up_m=6.0))))
-    assert result is not None
     assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
 def test_kerbs_and_clutter_do_not_lift_the_line() -> None:
     result = road_line(np.concatenate((road(4), cars(5))))
-    assert result is not None
     assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
@@ -116,7 +109,6 @@ def test_the_sensor_above_the_road_it_sees(
     """Crests and sags of 250 m radius, the body tilted against the road, vehicles about."""
     points = road(seed, n=3000, ahead=ahead, left=left, up_m=up_m, bend_per_m=bend_per_m, least_m=4.0)
     result = ground_plane(np.concatenate((points, cars(seed, 200))), MOUNT)
-    assert result is not None
     foot_m = up_m + ahead * MOUNT.x_m + 0.5 * bend_per_m * MOUNT.x_m**2
     truth = (MOUNT.z_m - foot_m) / math.sqrt(1.0 + ahead**2 + left**2)
     assert result.distance_m == pytest.approx(truth, abs=4.0 * result.distance_sigma_m)
@@ -128,7 +120,6 @@ def test_the_stated_sigma_is_honest() -> None:
     errors, sigmas = [], []
     for seed in range(100):
         result = ground_plane(road(seed, n=400, noise_m=0.02, least_m=4.0), MOUNT)
-        assert result is not None
         errors.append(result.distance_m - MOUNT.z_m)
         sigmas.append(result.distance_sigma_m)
     normalised = np.array(errors) / np.array(sigmas)
@@ -140,13 +131,11 @@ def test_tilt_is_that_of_the_body_against_the_road() -> None:
     roll, pitch = 0.02, -0.015
     body_from_road = rotation_from_roll_pitch_yaw(roll, pitch, 0.0).T
     result = ground_plane(road(6, least_m=4.0, noise_m=0.002) @ body_from_road.T, MOUNT)
-    assert result is not None
     assert (result.roll_rad, result.pitch_rad) == pytest.approx((roll, pitch), abs=1e-3)
 
 
 def test_on_a_grade_the_vertical_height_is_more_than_the_distance() -> None:
     result = ground_plane(road(7, least_m=4.0), MOUNT)
-    assert result is not None
     assert result.height_m(0.0) == result.distance_m
     assert result.height_m(0.1) == pytest.approx(result.distance_m * 1.00499, abs=1e-4)
 
@@ -174,7 +163,6 @@ def test_a_sensor_that_is_not_where_its_mount_says_is_noticed(
     turned = rotation_from_roll_pitch_yaw(math.radians(roll_deg), math.radians(pitch_deg), 0.0)
     seen = (points - sensor - [0.0, 0.0, higher_m]) @ turned + sensor
     result = ground_plane(seen, MOUNT)
-    assert result is not None
     assert result.problem == problem
 
 

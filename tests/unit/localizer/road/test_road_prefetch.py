@@ -85,7 +85,6 @@ def test_at_any_speed_the_places_are_few_and_fit_into_the_question(speed_m_s: fl
 def test_it_says_what_the_map_would_say_there(along_m: float, across_m: float) -> None:
     point = at(along_m, across_m)
     result, asked = ask().road_at(NS + SECOND_NS, point, link_ids=(1,), radius_m=0.5), MAP.road(*point, (1,))
-    assert result is not None
     assert (result.status, result.level, result.datum, result.map_version) == ("known", 0, "WGS84", 7)
     assert result.elevation_m == pytest.approx(asked.elevation_m, abs=1e-3)
     assert (result.slope_east, result.slope_north) == pytest.approx(
@@ -144,8 +143,6 @@ def test_where_its_plane_does_not_hold_as_far_as_it_must_it_says_nothing() -> No
     assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m - 0.5) is not None
     assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m + 1.0) is None
     result = answer.road_at(NS, here, link_ids=(1,), radius_m=0.0)
-    assert result is not None
-    assert result.extent_m is not None
     assert (
         result.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
     )  # measured from the place sampled, a quarter metre away

@@ -62,7 +62,6 @@ def test_height_and_slope_are_those_of_the_road(east: float, north: float, bend:
     for e, n in np.random.default_rng(seed).uniform((-17.0, -3.0), (17.0, 3.0), (20, 2)).tolist():
         truth = 40.0 + east * e + north * n + bend * e * e
         result = roads.elevation(e, n, truth + 1.0)
-        assert result is not None
         assert result.height_m == pytest.approx(truth, abs=0.012)
         assert result.slope_east == pytest.approx(east + 2.0 * bend * e, abs=0.015)
         assert result.slope_north == pytest.approx(north, abs=0.015)
@@ -74,8 +73,6 @@ def test_where_roads_cross_each_keeps_its_height(crossing: RoadHeights) -> None:
     for e, n in np.random.default_rng(3).uniform(-3.5, 3.5, (50, 2)).tolist():
         here = np.array(e), np.array(n)
         lower, upper = (crossing.elevation(e, n, near) for near in (1.0, 5.0))
-        assert lower is not None
-        assert upper is not None
         assert lower.height_m == pytest.approx(float(low(*here)), abs=0.012)
         assert upper.height_m == pytest.approx(float(high(*here)), abs=0.012)
         assert (lower.slope_east, lower.slope_north) == pytest.approx((0.02, 0.02), abs=0.01)
@@ -96,7 +93,6 @@ def test_no_height_lies_between_two_roads(
 def test_driving_below_every_point_is_above_the_road_below(crossing: RoadHeights) -> None:
     points = np.random.default_rng(4).uniform((-55.0, -3.5, -1.0), (55.0, 3.5, 9.0), (500, 3))
     surface = crossing.surface_through(-50.0, 0.0, -1.0)
-    assert surface is not None
     truth = points[:, 2] - low(points[:, 0], points[:, 1])
     np.testing.assert_allclose(surface.height_above(points), truth, atol=0.02)
 
@@ -104,7 +100,6 @@ def test_driving_below_every_point_is_above_the_road_below(crossing: RoadHeights
 def test_driving_above_every_point_is_above_the_road_above(crossing: RoadHeights) -> None:
     points = np.random.default_rng(5).uniform((-3.5, -55.0, -1.0), (3.5, 55.0, 9.0), (500, 3))
     surface = crossing.surface_through(0.0, 40.0, 4.8)
-    assert surface is not None
     truth = points[:, 2] - high(points[:, 0], points[:, 1])
     np.testing.assert_allclose(surface.height_above(points), truth, atol=0.02)
 
@@ -122,18 +117,13 @@ def test_a_ramp_leads_from_one_road_to_the_other_and_stays_apart_where_it_joins(
     for east in (-20.0, 5.0, 12.0, 25.0, 38.0):
         result = roads.elevation(east, 0.0, 0.2)
         up = roads.elevation(east, 4.5, max(0.1 * east, 0.0))
-        assert result is not None
-        assert up is not None
         assert result.height_m == pytest.approx(0.0, abs=0.02)
         assert up.height_m == pytest.approx(max(0.1 * east, 0.0), abs=0.03)
     # At the wall itself each keeps its own height to within the fit of the last cell.
     inside, outer = roads.elevation(35.0, 2.8, 0.0), roads.elevation(35.0, 3.3, 3.5)
-    assert inside is not None
-    assert outer is not None
     assert (inside.height_m, outer.height_m) == (pytest.approx(0.0, abs=0.05), pytest.approx(3.5, abs=0.1))
     # Driven onto, the ramp is what continues.
     surface = roads.surface_through(-30.0, 4.5, 0.0)
-    assert surface is not None
     np.testing.assert_allclose(surface.height_above(np.array([[35.0, 5.0, 5.0]])), 1.5, atol=0.1)
 
 
@@ -141,7 +131,6 @@ def test_a_gap_in_the_cloud_is_bridged() -> None:
     road = strip(lambda e, n: 0.05 * e, along_east=True)
     road = road[(road[:, 0] < 5.0) | (road[:, 0] > 12.0)]
     surface = RoadHeights.of(road).surface_through(-50.0, 0.0, -2.5)
-    assert surface is not None
     points = np.array([[-40.0, 0.0, 0.0], [50.0, 1.0, 0.0]])
     np.testing.assert_allclose(surface.height_above(points), -0.05 * points[:, 0], atol=0.02)
 
