@@ -27,9 +27,7 @@ def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> La
     fit = LayerFit(
         transform=np.eye(4),
         converged=True,
-        iterations=5,
         points=1234,
-        pairs=1000,
         mean_distance_m=mean_distance_m,
         overlap=0.81,
     )
