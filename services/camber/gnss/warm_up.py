@@ -37,6 +37,10 @@ _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5
 _SIGNALS = ("1C", "2L")
 _LOWEST_RAD = 0.3  # 17°
+_NO_PERTURBATION = (
+    "inclination_rate_rad_s", "ascending_node_rate_rad_s", "perigee_rad", "mean_motion_difference_rad_s",
+    "cuc", "cus", "crc_m", "crs_m", "cic", "cis",
+)  # fmt: skip
 _BASE_ECEF_M = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
 
 
@@ -81,21 +85,12 @@ def _constellation() -> list[Ephemeris]:
             sqrt_a=5153.6,
             eccentricity=0.002,
             inclination_rad=0.96,
-            inclination_rate_rad_s=0.0,
             ascending_node_rad=turn * plane / _PLANES,
-            ascending_node_rate_rad_s=0.0,
-            perigee_rad=0.0,
             mean_anomaly_rad=turn * (place / _PER_PLANE + plane / (_PLANES * _PER_PLANE)),
-            mean_motion_difference_rad_s=0.0,
-            cuc=0.0,
-            cus=0.0,
-            crc_m=0.0,
-            crs_m=0.0,
-            cic=0.0,
-            cis=0.0,
             accuracy_m=1.0,
             health=0,
             other={"tgd_s": 0.0},
+            **dict.fromkeys(_NO_PERTURBATION, 0.0),
         )
         for plane in range(_PLANES)
         for place in range(_PER_PLANE)

@@ -1,4 +1,4 @@
-"""Sources of bytes: a file that may still grow, a TCP server, a serial port."""
+"""Sources of bytes: a file that may still grow, a serial port."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Protocol
 
 import serial
-
-from camber.transport.tcp_connection import TcpConnection
 
 CHUNK_BYTES = 4096  # chosen: several messages of a receiver
 _READ_S = 0.2  # chosen: a stop is noticed after at most this time
@@ -50,24 +48,6 @@ class FileSource:
     def close(self) -> None:
         """Close it."""
         self._file.close()
-
-
-class TcpSource:
-    """The bytes that a TCP server sends."""
-
-    lossless = False
-    silence_reason = ""
-
-    def __init__(self, host: str, port: int, stop: threading.Event) -> None:
-        self._connection = TcpConnection(host, port, stop=stop)
-
-    def read(self) -> bytes:
-        """Return the bytes received."""
-        return self._connection.receive(_READ_S)
-
-    def close(self) -> None:
-        """Close it."""
-        self._connection.close()
 
 
 class SerialSource:

@@ -11,9 +11,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from camber.transport.byte_sources import CHUNK_BYTES, ByteSource, FileSource, SerialSource, TcpSource
+from camber.transport.byte_sources import CHUNK_BYTES, ByteSource, FileSource, SerialSource
 from camber.transport.ntrip_client import GgaSchedule, Mountpoint, NtripAccess, NtripSource
-from camber.transport.tcp_connection import RefusedError
+from camber.transport.tcp_connection import RefusedError, TcpConnection
 
 MAX_BACKLOG_BYTES = 4 << 20
 """Chosen: minutes of a receiver's stream. Beyond, the oldest bytes are dropped; a file is not read further."""
@@ -156,7 +156,7 @@ def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
         case "file", _ if rest:
             return lambda stop: FileSource(Path(rest))
         case "tcp", [host, port] if host and "@" not in host and _is_number(port) and int(port) < 65536:
-            return lambda stop: TcpSource(host.removeprefix("[").removesuffix("]"), int(port), stop)
+            return lambda stop: TcpConnection(host.strip("[]"), int(port), stop=stop)
         case "serial", [device, baud] if device and _is_number(baud):
             return lambda stop: SerialSource(device, int(baud))
         # Names below /dev/serial/by-path contain colons.

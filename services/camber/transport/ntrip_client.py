@@ -131,7 +131,7 @@ class NtripSource:
             first, self._first = self._first, b""
             return self._body.feed(first)
         self._send_position()
-        return self._body.feed(self._connection.receive())
+        return self._body.feed(self._connection.read())
 
     def close(self) -> None:
         """Close it."""
@@ -150,7 +150,7 @@ class NtripSource:
         received = b""
         while time.monotonic() < deadline_s:
             unsent = unsent[self._connection.send(unsent) :] if unsent else b""
-            received += self._connection.receive()
+            received += self._connection.read()
             response = parse_response(received, with_password=access.user is not None)
             if response is not None:
                 return response

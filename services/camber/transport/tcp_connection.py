@@ -13,6 +13,7 @@ from pathlib import Path
 
 _CHUNK_BYTES = 4096  # chosen: several messages of a receiver
 _STEP_S = 0.1  # chosen: a stop is noticed after at most this time
+_READ_S = 0.2  # chosen: a stop is noticed after at most this time
 _CONNECT_S = 5.0
 """Chosen, for each address of a host, and for the handshake: enough when two of the first three packets are lost."""
 _NOT_TLS = ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE")
@@ -25,8 +26,11 @@ class RefusedError(ConnectionError):
 class TcpConnection:
     """An open connection to `host`:`port`; OSError where there is none. Setting `stop` ends every wait.
 
-    Only name resolution takes as long as the system lets it.
+    Only name resolution takes as long as the system lets it. It is a `ByteSource`.
     """
+
+    lossless = False
+    silence_reason = ""
 
     def __init__(self, host: str, port: int, *, stop: threading.Event, tls: ssl.SSLContext | None = None):
         self._stop = stop
@@ -34,12 +38,12 @@ class TcpConnection:
         if tls is not None:
             self._socket = _secured(self._socket, tls, host, stop)
 
-    def receive(self, within_s: float = 2 * _STEP_S) -> bytes:
+    def read(self) -> bytes:
         """Return some bytes; empty where nothing arrived in time. Raises OSError when the peer has gone."""
-        data = self._read()
+        data = self._received()
         if data is None:
-            _await(self._socket, select.POLLIN, self._stop, time.monotonic() + within_s)
-            data = self._read()
+            _await(self._socket, select.POLLIN, self._stop, time.monotonic() + _READ_S)
+            data = self._received()
         if data == b"":
             raise ConnectionResetError("the other side closed the connection")
         return data or b""
@@ -55,7 +59,7 @@ class TcpConnection:
         """Close it, at once."""
         self._socket.close()
 
-    def _read(self) -> bytes | None:
+    def _received(self) -> bytes | None:
         """Return empty when the peer has closed, None without data. Bytes buffered by TLS are no event to poll for."""
         try:
             return self._socket.recv(_CHUNK_BYTES)
