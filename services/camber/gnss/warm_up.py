@@ -23,7 +23,6 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.candidates.satellite_subsets import subset_candidates
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import (
-    elevation_azimuth,
     enu_from_ecef_rotation,
     geodetic,
     ranges,
@@ -36,7 +35,7 @@ from camber.gnss.position.rtk_engine import Engine, Solution
 _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5
 _SIGNALS = ("1C", "2L")
-_LOWEST_RAD = 0.3  # 17°
+_LOWEST_SINE = 0.3  # 17°
 _NO_PERTURBATION = (
     "inclination_rate_rad_s", "ascending_node_rate_rad_s", "perigee_rad", "mean_motion_difference_rad_s",
     "cuc", "cus", "crc_m", "crs_m", "cic", "cis",
@@ -106,8 +105,8 @@ def _epoch(ephemerides: EphemerisStore, antenna_ecef_m: Floats, time_ns: int) ->
         states = states_at_transmission(ephemerides.table, rows, time_ns, code_m)
         distance_m, direction = ranges(states.position_m, antenna_ecef_m)
         code_m = distance_m - SPEED_OF_LIGHT_M_S * states.clock_s
-    elevation_rad, _ = elevation_azimuth(antenna_ecef_m, direction)
-    up = np.flatnonzero(elevation_rad > _LOWEST_RAD)
+    latitude, longitude, _ = geodetic(antenna_ecef_m)
+    up = np.flatnonzero(direction @ enu_from_ecef_rotation(latitude, longitude)[2] > _LOWEST_SINE)
     rate_m_s = (states.velocity_m_s * direction).sum(axis=1)
     carriers = [CARRIER_OF_BAND_HZ["G"][signal[0]] for signal in _SIGNALS]
     count = up.size * len(_SIGNALS)

@@ -46,7 +46,7 @@ _PER_HEIGHT = (2.53e-5, 5.49e-3, 1.14e-3)
 class Troposphere(NamedTuple):
     """Zenith delays and mapping coefficients at one position.
 
-    `known` is false, and every delay zero, for a height outside −500 m to 9000 m or a NaN position.
+    `known` is false, and every slant delay zero, for a height outside −500 m to 9000 m or a NaN position.
     """
 
     known: bool
@@ -60,21 +60,15 @@ class Troposphere(NamedTuple):
 @compiled
 def troposphere_at(latitude_rad: float, height_m: float) -> Troposphere:
     """Standard atmosphere at a latitude and an ellipsoidal height."""
-    if not (LOWEST_HEIGHT_M <= height_m <= GREATEST_HEIGHT_M and abs(latitude_rad) <= 0.5 * np.pi + 1e-9):
-        return Troposphere(
-            known=False,
-            dry_m=0.0,
-            wet_m=0.0,
-            height_m=0.0,
-            dry_mapping=(0.0, 0.0, 0.0),
-            wet_mapping=(0.0, 0.0, 0.0),
-        )
+    known = LOWEST_HEIGHT_M <= height_m <= GREATEST_HEIGHT_M and abs(latitude_rad) <= 0.5 * np.pi + 1e-9
+    if not known:
+        latitude_rad, height_m = 0.0, 0.0
     dry_m, wet_m = zenith_delays_m(latitude_rad, height_m)
     place = min(max(abs(latitude_rad) / _NIELL_STEP_RAD - 1.0, 0.0), 3.999999)
     row = int(place)
     part = place - row
     return Troposphere(
-        known=True,
+        known=known,
         dry_m=dry_m,
         wet_m=wet_m,
         height_m=height_m,
@@ -103,12 +97,6 @@ def slant_troposphere_m(troposphere: Troposphere, sin_elevation: float) -> float
     height_mapping = 1.0 / sine - _continued(sine, _PER_HEIGHT[0], _PER_HEIGHT[1], _PER_HEIGHT[2])
     dry_mapping = _continued(sine, da, db, dc) + height_mapping * troposphere.height_m * 1e-3
     return troposphere.dry_m * dry_mapping + troposphere.wet_m * _continued(sine, wa, wb, wc)
-
-
-@compiled
-def troposphere_m(latitude_rad: float, height_m: float, elevation_rad: float) -> float:
-    """Troposphere delay [m] towards one satellite."""
-    return slant_troposphere_m(troposphere_at(latitude_rad, height_m), math.sin(elevation_rad))
 
 
 @compiled

@@ -210,23 +210,3 @@ def enu_from_ecef_rotation(latitude_rad: float, longitude_rad: float) -> Floats:
     rotation[1, 0], rotation[1, 1], rotation[1, 2] = -s * cl, -s * sl, c
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = c * cl, c * sl, s
     return rotation
-
-
-@compiled
-def elevation_azimuth(receiver_ecef_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Elevation above the ellipsoid's horizon and azimuth clockwise from north, (m,) [rad], of unit vectors (m, 3).
-
-    NaN where the receiver (3,) is none (`geodetic`) and for directions that are NaN.
-    """
-    latitude, longitude, _ = geodetic(receiver_ecef_m)
-    rotation = enu_from_ecef_rotation(latitude, longitude)
-    m = direction.shape[0]
-    elevation, azimuth = np.empty(m), np.empty(m)
-    for k in range(m):
-        x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
-        east = rotation[0, 0] * x + rotation[0, 1] * y
-        north = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
-        up = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
-        elevation[k] = math.atan2(up, math.hypot(east, north))
-        azimuth[k] = math.atan2(east, north)
-    return elevation, azimuth

@@ -11,7 +11,6 @@ from camber.gnss.observations.atmosphere import (
     klobuchar_m,
     slant_troposphere_m,
     troposphere_at,
-    troposphere_m,
     zenith_delays_m,
 )
 from camber.simulator.satellites import atmosphere as simulated
@@ -19,6 +18,11 @@ from camber.simulator.satellites import atmosphere as simulated
 COEFFICIENTS = np.array([*simulated.KLOBUCHAR_ALPHA, *simulated.KLOBUCHAR_BETA])
 NONE = np.zeros(0)
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def troposphere_m(latitude_rad: float, height_m: float, elevation_rad: float) -> float:
+    sine = math.sin(elevation_rad) if math.isfinite(elevation_rad) else math.nan
+    return slant_troposphere_m(troposphere_at(latitude_rad, height_m), sine)
 
 
 def test_the_delay_of_the_zenith_is_saastamoinens():
