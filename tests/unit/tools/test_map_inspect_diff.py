@@ -31,7 +31,7 @@ def a_release(folder: Path, **changed: object) -> Path:
     return folder
 
 
-def test_a_release_is_told_by_levels_sigmas_and_who_signed_it(tmp_path: Path) -> None:
+def test_a_release_is_reported_by_levels_sigmas_and_signer(tmp_path: Path) -> None:
     key = Ed25519PrivateKey.generate()
     pem = tmp_path / "key.pub"
     pem.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
@@ -62,7 +62,7 @@ def stored(folder: Path, path: Path, without: str | None = None) -> None:
     store.close()
 
 
-def test_a_store_is_told_as_its_release_is_and_what_is_not_fetched_is_counted(tmp_path: Path) -> None:
+def test_a_store_is_reported_as_its_release_and_missing_tiles_are_counted(tmp_path: Path) -> None:
     folder = a_release(tmp_path / "map")
     stored(folder, tmp_path / "map.sqlite")
     assert inspected(tmp_path / "map.sqlite") == inspected(folder)

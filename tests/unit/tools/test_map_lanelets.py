@@ -83,9 +83,7 @@ def test_what_lies_over_something_is_on_a_higher_level(release: Release) -> None
     assert levels == {STREET_WEST: 0, STREET_EAST: 0, ONCOMING: 0, BRIDGE: 1, RAMP: 0}
     surfaces = release.road_surfaces()
     assert {levels[link] for link in surfaces.link_id.tolist()} == {0, 1}
-    assert all(
-        levels[link] == level for link, level in zip(surfaces.link_id.tolist(), surfaces.level, strict=True)
-    )
+    assert [levels[link] for link in surfaces.link_id.tolist()] == surfaces.level.tolist()
 
 
 def test_under_the_bridge_the_link_says_which_road_it_is(release: Release) -> None:
@@ -98,12 +96,8 @@ def test_under_the_bridge_the_link_says_which_road_it_is(release: Release) -> No
 
 def test_links_share_a_node_where_lanelets_share_their_end_points(release: Release) -> None:
     links = release.road_links()
-    ends = {
-        link: (start, end)
-        for link, start, end in zip(
-            links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist(), strict=True
-        )
-    }
+    columns = (links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist())
+    ends = {link: (start, end) for link, start, end in zip(*columns, strict=True)}
     assert ends[STREET_WEST][1] == ends[STREET_EAST][0]
     assert ends[BRIDGE][1] == ends[RAMP][0]
     assert len({node for pair in ends.values() for node in pair}) == 8
@@ -113,10 +107,8 @@ def test_a_map_read_again_is_the_same_map_and_other_heights_keep_their_surfaces(
     first, again = (build(tmp_path / name, town()) for name in ("a", "b"))
     assert first.hashes() == again.hashes()
     made = town()
-    higher = build(
-        tmp_path / "c",
-        replace(made, height_m=made.height_m + 0.25 * (made.latitude_rad > FRAME.latitude_rad)),
-    )
+    raised_m = 0.25 * (made.latitude_rad > FRAME.latitude_rad)
+    higher = build(tmp_path / "c", replace(made, height_m=made.height_m + raised_m))
     ids = [release.road_surfaces().surface_id.tolist() for release in (first, higher)]
     assert ids[0] == ids[1]
     assert first.hashes() != higher.hashes()
@@ -131,15 +123,11 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
     before, after = first.road_surfaces(), second.road_surfaces()
     kept = np.isin(after.surface_id, before.surface_id)
     assert set(after.link_id[~kept].tolist()) == {STREET_WEST}
-    pairs = list(
-        zip(
-            second.manifest.lineage_surface_id.tolist(),
-            second.manifest.lineage_parent_id.tolist(),
-            strict=True,
-        )
-    )
-    assert {child for child, _ in pairs} == set(after.surface_id[~kept].tolist())
-    assert {parent for _, parent in pairs} <= set(before.surface_id.tolist()) - set(after.surface_id.tolist())
+    children, parents = second.manifest.lineage_surface_id, second.manifest.lineage_parent_id
+    gone = set(before.surface_id.tolist()) - set(after.surface_id.tolist())
+    assert len(children) == len(parents)
+    assert set(children.tolist()) == set(after.surface_id[~kept].tolist())
+    assert set(parents.tolist()) <= gone
     assert second.root.map_version == first.root.map_version + 1
 
 
@@ -170,15 +158,8 @@ def test_heights_of_an_unknown_kind_are_refused_in_one_line(
 
 def test_an_undulation_that_the_user_answers_for_stands_in_the_release(tmp_path: Path) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    arguments = [
-        "map",
-        "build",
-        "lanelet2",
-        str(tmp_path / "town.osm"),
-        *COMMON,
-        "--out",
-        str(tmp_path / "map"),
-    ]
+    files = (str(tmp_path / "town.osm"), "--out", str(tmp_path / "map"))
+    arguments = ["map", "build", "lanelet2", *files, *COMMON]
     constant = ["--geoid-undulation-m", "45.5", "--geoid-sigma-m", "0.1", "--geoid-source", "mark 17"]
     assert cli.main([*arguments, *constant]) == 0
     release = read_release(tmp_path / "map")
@@ -198,10 +179,10 @@ def test_a_recorded_circuit_is_followed_within_a_centimetre(tmp_path: Path) -> N
     release, circuit = read_release(tmp_path / "map"), read_lanelet2(path)
     heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
     off = {}
-    for own in circuit.lanelets:
-        ids = own.left + own.right
+    for lanelet in circuit.lanelets:
+        ids = lanelet.left + lanelet.right
         rows = [circuit.row_of[ref] for ref in ids]
-        result = heights.roads(circuit.latitude_rad[rows], circuit.longitude_rad[rows], [own.lanelet_id])
+        result = heights.roads(circuit.latitude_rad[rows], circuit.longitude_rad[rows], [lanelet.lanelet_id])
         assert len(result.known) == len(rows)
         difference_m = np.abs(result.elevation_m - circuit.height_m[rows])
         off |= {ids[k]: difference_m[k] for k in np.flatnonzero(difference_m > 0.01).tolist()}

@@ -22,6 +22,7 @@ from support.lanelet_maps import FRAME, lanelet2_bytes, town
 Floats = NDArray[np.float64]
 
 WIDTH_M = 4.0
+SURVEY = LaneSurvey(sigma_m=0.02, link_sigma_m=0.5, seen_ns=0)
 
 
 def lane(
@@ -53,37 +54,30 @@ def straight(
 def corners(piece: LanePiece, points_m: Floats) -> Floats:
     """Points in the axes of a piece, in units of its half sizes."""
     c, s = math.cos(piece.yaw_rad), math.sin(piece.yaw_rad)
-    return (
-        (points_m - piece.centre_m) @ np.array([[c, -s], [s, c]]) / (piece.half_length_m, piece.half_width_m)
-    )
+    half_m = (piece.half_length_m, piece.half_width_m)
+    return (points_m - piece.centre_m) @ np.array([[c, -s], [s, c]]) / half_m
 
 
 def levels_of(*lanes: Lane) -> list[list[int]]:
-    return cuts_and_levels(lanes, [pieces_of(own, "map") for own in lanes], "map")[1]
+    return cuts_and_levels(lanes, [pieces_of(curve, "map") for curve in lanes], "map")[1]
 
 
 @pytest.mark.parametrize("radius_m", [6.0, 15.0, 60.0, 400.0])
 def test_rectangles_hold_all_of_a_curve_and_reach_little_beyond(radius_m: float) -> None:
     turn = np.linspace(0.0, 1.5, 200)
     line = radius_m * np.column_stack((np.sin(turn), 1.0 - np.cos(turn)))
-    own = lane("curve", line, np.zeros(200))
-    pieces = pieces_of(own, "map")
-    inside = np.array(
-        [
-            (np.abs(corners(piece, own.sections[:, k, :2])) < 1.0 + 1e-9).all(axis=1)
-            for piece in pieces
-            for k in (0, 1)
-        ]
-    )
-    assert inside.reshape(len(pieces), 2, -1).any(axis=0).all()
+    curve = lane("curve", line, np.zeros(200))
+    pieces = pieces_of(curve, "map")
+    in_units = np.array([[corners(piece, curve.sections[:, k, :2]) for k in (0, 1)] for piece in pieces])
+    assert (np.abs(in_units) < 1.0 + 1e-9).all(axis=-1).any(axis=0).all()
     assert max(2.0 * piece.half_width_m for piece in pieces) < WIDTH_M + 0.3
     assert max(2.0 * piece.half_length_m for piece in pieces) < 23.0
 
 
 def test_a_lane_that_opens_from_nothing_is_followed() -> None:
     line = along((0.0, 0.0), (60.0, 0.0))
-    own = lane("taper", line, 0.03 * line[:, 0], width_m=np.linspace(0.0, 3.5, 41))
-    pieces = pieces_of(own, "map")
+    curve = lane("taper", line, 0.03 * line[:, 0], width_m=np.linspace(0.0, 3.5, 41))
+    pieces = pieces_of(curve, "map")
     assert max(piece.off_m for piece in pieces) < 1e-3
     assert all(np.abs(np.diff(piece.heights_m, axis=1)).max() < 1e-6 for piece in pieces)
     assert pieces[0].half_width_m < 0.3
@@ -93,10 +87,8 @@ def test_where_heights_make_a_step_the_surface_is_as_unsure_as_that_and_the_lane
     line = along((0.0, 0.0), (60.0, 0.0))
     stepped = np.insert(line, 21, line[20] + (0.01, 0.0), axis=0)
     height_m = np.where(np.arange(42) > 20, 0.4, 0.0)
-    own = lane("kerb", stepped, height_m)
-    surfaces, _, remarks = road_map(
-        [own], FRAME, LaneSurvey(sigma_m=0.02, link_sigma_m=0.5, seen_ns=0), "map"
-    )
+    curve = lane("kerb", stepped, height_m)
+    surfaces, _, remarks = road_map([curve], FRAME, SURVEY, "map")
     assert remarks == ["map: kerb: heights make a step, σ of a surface is up to 0.20 m"]
     assert (surfaces.sigma_m > 0.1).sum() == 1
     assert np.isclose(np.sort(surfaces.sigma_m)[:-1], 0.02, atol=1e-3).all()
@@ -118,12 +110,12 @@ def test_a_lane_with_a_point_somewhere_else_on_earth_is_refused() -> None:
         pieces_of(wide, "map")
 
 
-def test_roads_over_one_another_are_on_levels_of_their_own() -> None:
+def test_roads_over_one_another_are_on_different_levels() -> None:
     low = straight("low", (-50.0, 0.0), (50.0, 0.0), 0.0)
     middle = straight("middle", (0.0, -50.0), (0.0, 50.0), 6.0)
     high = straight("high", (-40.0, -40.0), (40.0, 40.0), 12.0)
-    beside = straight("beside", (-50.0, 30.0), (-20.0, 50.0), 12.0)
-    assert levels_of(high, low, middle, beside) == [[2], [0], [1], [0]]
+    neighbour = straight("beside", (-50.0, 30.0), (-20.0, 50.0), 12.0)
+    assert levels_of(high, low, middle, neighbour) == [[2], [0], [1], [0]]
 
 
 def test_roads_that_cross_at_one_height_are_on_one_level() -> None:
@@ -133,11 +125,11 @@ def test_roads_that_cross_at_one_height_are_on_one_level() -> None:
     assert levels_of(first, second) == [[0], [0]]
 
 
-def test_lanes_beside_one_another_are_on_one_level() -> None:
+def test_lanes_that_share_a_border_are_on_one_level() -> None:
     street = straight("street", (0.0, -50.0), (0.0, 50.0), 0.0)
     over = straight("over", (-30.0, 0.0), (30.0, 0.0), 6.0, borders=("x", "shared"))
-    beside = straight("beside", (10.0, 4.0), (30.0, 4.0), 6.0, borders=("shared", "y"))
-    assert levels_of(street, over, beside) == [[0], [1], [1]]
+    neighbour = straight("beside", (10.0, 4.0), (30.0, 4.0), 6.0, borders=("shared", "y"))
+    assert levels_of(street, over, neighbour) == [[0], [1], [1]]
 
 
 def test_what_the_map_says_stays_and_the_rest_fits_in() -> None:
@@ -149,13 +141,11 @@ def test_what_the_map_says_stays_and_the_rest_fits_in() -> None:
         levels_of(replace(low, level=1), replace(high, level=1))
 
 
-def test_a_helix_becomes_links_of_their_own_on_rising_levels() -> None:
+def test_a_helix_becomes_several_links_on_rising_levels() -> None:
     turn = np.linspace(0.0, 6.0 * math.pi, 400)
     line = 15.0 * np.column_stack((np.cos(turn), np.sin(turn)))
     helix = lane("helix", line, 5.0 * turn / (2.0 * math.pi), link_id=77)
-    surfaces, links, _ = road_map(
-        [helix], FRAME, LaneSurvey(sigma_m=0.02, link_sigma_m=0.5, seen_ns=0), "map"
-    )
+    surfaces, links, _ = road_map([helix], FRAME, SURVEY, "map")
     assert links.level.tolist() == sorted(links.level.tolist())
     # Where a part has gone all the way round it is over its own beginning: three turns are four parts.
     assert set(links.level.tolist()) == {0, 1, 2, 3}
@@ -183,26 +173,9 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    arguments = [
-        "map",
-        "build",
-        "lanelet2",
-        str(tmp_path / "town.osm"),
-        "--vertical-datum",
-        "ellipsoidal",
-        "--sigma-m",
-        "0.02",
-    ]
-    arguments += [
-        "--region",
-        "town",
-        "--datum",
-        "WGS84",
-        "--epoch-year",
-        "2024.5",
-        "--out",
-        str(tmp_path / "map"),
-    ]
+    options = ("--vertical-datum", "ellipsoidal", "--sigma-m", "0.02", "--region", "town", "--datum", "WGS84")
+    arguments = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *options]
+    arguments += ["--epoch-year", "2024.5", "--out", str(tmp_path / "map")]
     assert cli.main(arguments) == 0
     assert cli.main(arguments) == 2
     assert "expected one without a release, or --previous" in capsys.readouterr().err
@@ -210,7 +183,6 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
     root = read_release(tmp_path / "map").root
     assert root.map_version == 2
     assert cli.main([*arguments, "--previous", str(tmp_path / "map"), "--map-version", "2"]) == 2
-    assert (
-        cli.main([*arguments[:-1], str(tmp_path / "new"), "--signing-key", str(tmp_path / "none.pem")]) == 2
-    )
+    unsigned = [*arguments[:-1], str(tmp_path / "new"), "--signing-key", str(tmp_path / "none.pem")]
+    assert cli.main(unsigned) == 2
     assert not (tmp_path / "new").exists()

@@ -27,16 +27,8 @@ COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--s
 
 def build(folder: Path, drive: OpenDrive, *options: str) -> int:
     (folder / "town.xodr").write_bytes(opendrive_bytes(drive))
-    arguments = [
-        "map",
-        "build",
-        "opendrive",
-        str(folder / "town.xodr"),
-        *COMMON,
-        "--out",
-        str(folder / "map"),
-    ]
-    return cli.main([*arguments, *options])
+    files = (str(folder / "town.xodr"), "--out", str(folder / "map"))
+    return cli.main(["map", "build", "opendrive", *files, *COMMON, *options])
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +74,15 @@ def test_the_bridge_is_on_a_level_above_the_street(release: Release) -> None:
     links = release.road_links()
     levels = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
     assert {levels[link("2", 0, lane)] for lane in (1, -1)} == {1}
-    assert {level for own, level in levels.items() if own not in (link("2", 0, 1), link("2", 0, -1))} == {0}
+    assert {
+        level for link_id_1, level in levels.items() if link_id_1 not in (link("2", 0, 1), link("2", 0, -1))
+    } == {0}
 
 
 def test_lanes_that_go_on_to_one_another_share_a_node(release: Release) -> None:
     links = release.road_links()
     columns = (links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist())
-    ends = {own: (start, end) for own, start, end in zip(*columns, strict=True)}
+    ends = {link_id_1: (start, end) for link_id_1, start, end in zip(*columns, strict=True)}
     # To the right of the reference line traffic goes along it, to the left against it.
     assert ends[link("1", 0, -1)][1] == ends[link("1", 1, -1)][0]
     assert ends[link("1", 0, 1)][0] == ends[link("1", 1, 1)][1]
@@ -103,8 +97,8 @@ def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -
     left = [dataclasses.replace(road, left_hand_traffic=True) for road in drive.roads]
     assert build(tmp_path, dataclasses.replace(drive, roads=left), "--vertical-datum", "ellipsoidal") == 0
     lines = []
-    for own in (release, read_release(tmp_path / "map")):
-        links = own.road_links()
+    for link_id_1 in (release, read_release(tmp_path / "map")):
+        links = link_id_1.road_links()
         lines.append(links.vertices[links.link_id.tolist().index(link("2", 0, -1))])
     np.testing.assert_allclose(lines[0], lines[1][::-1], atol=1e-10)
 
@@ -148,9 +142,8 @@ def test_a_road_that_nobody_measured_is_refused(
     bare = dataclasses.replace(drive.roads[1], elevation=cubics((20.0, 525.0, 0.0, 0.0, 0.0))[:rows])
     flat = dataclasses.replace(drive, roads=[drive.roads[0], bare])
     assert build(tmp_path, flat, "--vertical-datum", "ellipsoidal") == 2
-    assert (
-        "road 2, elevationProfile, expected an elevation from the road's begin on" in capsys.readouterr().err
-    )
+    expected = "road 2, elevationProfile, expected an elevation from the road's begin on"
+    assert expected in capsys.readouterr().err
 
 
 def test_the_projection_may_be_named_where_the_file_does_not(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def output(capsys: pytest.CaptureFixture[str], *expected: Any, code: int = 0) -> str:
-    assert main([str(word) for word in expected]) == code
+    assert main([str(argument) for argument in expected]) == code
     captured = capsys.readouterr()
     return captured.err if code else captured.out
 

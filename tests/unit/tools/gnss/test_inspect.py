@@ -181,7 +181,7 @@ def test_a_file_that_is_not_there_is_one_clear_line(
         assert err.count("\n") == 1
 
 
-def test_of_a_file_that_breaks_off_what_is_there_is_shown_and_the_damage_said(
+def test_a_truncated_file_is_shown_up_to_its_damage_which_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Of the last million bytes before the damage nothing comes out of the unpacking.
@@ -285,7 +285,7 @@ def test_a_recording_of_one_epoch_in_thirty_seconds_is_not_all_gaps(tmp_path: Pa
 # times
 
 
-def test_gaps_repeated_and_late_epochs_are_found_where_they_are(
+def test_gaps_repeated_and_late_epochs_are_counted_and_dated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     epochs = steady_epochs()
@@ -306,7 +306,7 @@ def test_gaps_repeated_and_late_epochs_are_found_where_they_are(
     assert "1 repeated, 1 late epochs" in out
 
 
-def test_a_clock_that_is_set_back_is_told_from_stray_epochs(tmp_path: Path) -> None:
+def test_a_clock_set_back_is_distinguished_from_stray_epochs(tmp_path: Path) -> None:
     earlier = steady_epochs(20, FIRST_NS - 3600 * NS)
     report = only(inspect_recording(write(tmp_path, rinex([*steady_epochs(20), *earlier]))))["time"]
     assert report["times_it_went_back"] == 1
@@ -331,7 +331,7 @@ def test_the_end_of_a_week_is_no_gap(tmp_path: Path, protocol: str) -> None:
 # streams
 
 
-def test_the_week_of_rtcm_comes_from_ephemerides_or_from_who_asks_and_else_is_a_guess_and_said_to_be(
+def test_the_week_of_rtcm_comes_from_ephemerides_or_the_caller_and_else_is_a_guess_named_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     epochs = steady_epochs(5)
@@ -375,7 +375,7 @@ def test_a_port_with_everything_on_it_is_taken_apart(tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     parts = []
     for k, epoch in enumerate(epochs):
-        # Corrections come before the receiver has said a date.
+        # Corrections come before the receiver has sent a date.
         parts.append(rtcm([epoch], station=3))
         parts.append(rng.bytes(40).replace(b"$", b"_"))
         parts.append(format_raw_measurements(epoch))
@@ -460,7 +460,7 @@ def test_columns_of_the_table_stand_below_each_other(
     assert "receiver      CAMBER SIMULATED" in out
 
 
-def test_a_reader_that_goes_away_ends_it_without_a_word(tmp_path: Path) -> None:
+def test_a_closed_pipe_ends_it_silently(tmp_path: Path) -> None:
     path = write(tmp_path, rinex(steady_epochs(2)))
     command = [sys.executable, "-m", "camber.cli", "gnss", "inspect", str(path)]
     with subprocess.Popen(
@@ -498,7 +498,7 @@ def whole(kind: str) -> bytes:
     changes=st.lists(st.tuples(st.integers(0, 10**6), st.binary(max_size=6)), max_size=8),
     cut=st.integers(0, 10**6),
 )
-def test_damage_is_counted_or_said_in_one_line_and_never_more(
+def test_damage_is_counted_or_reported_in_one_line(
     tmp_path_factory: pytest.TempPathFactory, kind: str, changes: list[tuple[int, bytes]], cut: int
 ) -> None:
     content = bytearray(whole(kind))

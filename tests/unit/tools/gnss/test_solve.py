@@ -159,7 +159,7 @@ def test_the_antenna_of_the_header_stands_above_its_marker(drive: Path) -> None:
     assert moved_m[2] > 0.75 * 0.8  # to the north and up: where this base stands both are towards the pole
 
 
-def test_of_several_positions_of_a_base_the_one_said_most_is_used_and_that_is_noted(drive: Path) -> None:
+def test_of_several_base_positions_the_most_frequent_is_used_and_noted(drive: Path) -> None:
     from camber.formats.rtcm.writer import format_reference_station
 
     right = raw(drive, STREAMS[1]).base_ecef_m
@@ -172,7 +172,7 @@ def test_of_several_positions_of_a_base_the_one_said_most_is_used_and_that_is_no
     assert any("2 positions up to 12.000 m apart" in note for note in recording.notes)
 
 
-def test_without_any_position_of_the_base_nothing_is_fixed_and_the_reason_is_said(
+def test_without_a_base_position_nothing_is_fixed_and_the_reason_is_given(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (drive / "base.obs").read_text().splitlines(keepends=True)
@@ -199,7 +199,7 @@ def test_a_base_of_one_epoch_a_second_is_given_once_each(drive: Path) -> None:
     assert np.nanmin(solved.age_s) == 0.0
 
 
-def test_a_base_that_ends_is_said_to_be_too_old(drive: Path) -> None:
+def test_a_base_that_ends_is_reported_too_old(drive: Path) -> None:
     recording = raw(drive)
     options = EngineSettings(longest_base_age_s=3.0)
     solved = run_engine(replace(recording, base=recording.base[:21]), recording.rover, options)

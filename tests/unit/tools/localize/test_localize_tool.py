@@ -45,7 +45,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def matched(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """What the command has left of that street, and what it said."""
+    """What the command has left of that street, and its output."""
     out = tmp_path_factory.mktemp("matched")
     return out, localize_drive(load_manifest(street), out, LocalizeOptions(pictures_s=(1.5, 99.0)))
 
@@ -147,12 +147,12 @@ def test_a_sweep_that_cannot_be_read_costs_itself_and_a_line(street: Path, tmp_p
 # A drive without one
 
 
-def drive_of(inputs: DriveInputs, **heard: object) -> LocalizedDrive:
+def drive_of(inputs: DriveInputs, **inputs_of: object) -> LocalizedDrive:
     assert inputs.map_release is not None
     settings = LocalizerSettings(match_sweeps=False, **localizer_config(inputs.manifest, inputs.initial_pose))
     options = settings.options(settings.initial_pose)
     at_hand = LocalMapQueries(release_for(inputs.map_release, inputs.manifest.datum))
-    return localize(inputs, options, at_hand, **heard)  # type: ignore[arg-type]
+    return localize(inputs, options, at_hand, **inputs_of)  # type: ignore[arg-type]
 
 
 def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> None:

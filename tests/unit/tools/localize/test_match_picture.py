@@ -72,7 +72,7 @@ def texts(figure: Figure) -> set[str | None]:
     return {element.text for element in ElementTree.fromstring(svg_text(figure)).iter()}
 
 
-def test_colours_go_from_the_first_to_the_last_and_no_partner_has_its_own() -> None:
+def test_colours_go_from_the_first_to_the_last_and_no_partner_differs() -> None:
     colours = residual_colours(np.array([0.0, FULL_SCALE_M, 10.0 * FULL_SCALE_M, np.nan, 0.5 * FULL_SCALE_M]))
     assert [to_hex(colour) for colour in colours[:3]] == ["#1f6fb2", "#c2185b", "#c2185b"]
     assert colours[4] == pytest.approx(to_rgba("#f2c14e"), abs=0.01)

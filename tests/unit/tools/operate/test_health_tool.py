@@ -133,7 +133,7 @@ def test_a_router_that_accepts_a_session_is_healthy(
     assert capsys.readouterr().out == f"router: ok, reached over {endpoint}\n"
 
 
-def test_vehicle_and_endpoint_come_from_the_services_own_settings(
+def test_vehicle_and_endpoint_come_from_the_settings_of_the_service(
     endpoint: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "gnss.toml"

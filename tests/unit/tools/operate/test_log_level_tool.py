@@ -48,29 +48,29 @@ def bus(endpoint: str) -> Iterator[Bus]:
     bus.close()
 
 
-def tell(endpoint: str, *arguments: str) -> int:
+def request(endpoint: str, *arguments: str) -> int:
     return tool.main([*arguments, "--vehicle", "v7", "--connect", endpoint])
 
 
 def test_it_logs_at_that_level_and_falls_back_by_itself(
     endpoint: str, bus: Bus, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert tell(endpoint, "gnss", "debug", "--for", "2s") == 0
+    assert request(endpoint, "gnss", "debug", "--for", "2s") == 0
     assert "gnss: debug for 2 s, was error" in capsys.readouterr().out
     assert bus.log_level == "debug"
     wait_until(lambda: bus.log_level == "error", timeout_s=20.0, why="it falls back")
 
 
-def test_the_last_word_holds(endpoint: str, bus: Bus) -> None:
-    assert tell(endpoint, "gnss", "debug", "--for", "1h") == 0
-    assert tell(endpoint, "gnss", "warning", "--for", "1h") == 0
+def test_the_last_request_holds(endpoint: str, bus: Bus) -> None:
+    assert request(endpoint, "gnss", "debug", "--for", "1h") == 0
+    assert request(endpoint, "gnss", "warning", "--for", "1h") == 0
     assert bus.log_level == "warning"
 
 
-def test_a_service_that_is_not_there_is_said(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tell(endpoint, "integrity", "debug") == 1
+def test_an_absent_service_is_reported(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert request(endpoint, "integrity", "debug") == 1
     assert "integrity: no answer: absent" in capsys.readouterr().err
-    assert tell(endpoint, "sensors", "debug") == 1
+    assert request(endpoint, "sensors", "debug") == 1
     assert "sensors: no answer: absent" in capsys.readouterr().err
 
 

@@ -40,7 +40,7 @@ def test_a_store_that_is_not_there_is_one_line_and_no_new_file(tmp_path, capsys)
 
 
 def refusal(path, capsys):
-    """What is said of a file that is no store of this version, which stays as it is."""
+    """The error for a file that is no store of this version, which stays as it is."""
     before = path.read_bytes()
     assert main([str(path)]) == 2
     assert path.read_bytes() == before
@@ -76,7 +76,7 @@ def test_a_store_of_an_earlier_version_stays_of_that_version(tmp_path, capsys):
     assert "format 1, expected 2" in refusal(path, capsys)
 
 
-def test_a_store_in_use_is_read_beside_its_writer_and_stays_as_it_is(tmp_path, capsys):
+def test_a_store_in_use_is_read_and_stays_as_it_is(tmp_path, capsys):
     path = tmp_path / "uploads.sqlite"
     with closing(SqliteStore(path)) as store:
         committed(store, contribution("u1"))

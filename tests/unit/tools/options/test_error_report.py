@@ -29,7 +29,7 @@ from camber.tools.options.error_report import report_failures
         (KeyboardInterrupt(), 130),
     ],
 )
-def test_every_way_to_fail_has_a_line_and_a_code(
+def test_every_failure_has_a_line_and_a_code(
     fault: BaseException, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def work() -> int:
@@ -41,7 +41,7 @@ def test_every_way_to_fail_has_a_line_and_a_code(
     assert not line.endswith("None")
 
 
-def test_a_mistake_of_ours_is_not_put_into_words(tmp_path: Path) -> None:
+def test_a_programming_error_is_raised(tmp_path: Path) -> None:
     def work() -> int:
         raise ZeroDivisionError
 
@@ -49,5 +49,5 @@ def test_a_mistake_of_ours_is_not_put_into_words(tmp_path: Path) -> None:
         report_failures("camber replay", tmp_path, work)
 
 
-def test_what_goes_well_keeps_its_own_code(tmp_path: Path) -> None:
+def test_success_keeps_its_code(tmp_path: Path) -> None:
     assert report_failures("camber replay", tmp_path, lambda: 7) == 7

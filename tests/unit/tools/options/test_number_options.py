@@ -13,7 +13,7 @@ import camber
 from camber.tools.options.number_options import each_of, number_from, whole_from
 
 
-def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     parser = argparse.ArgumentParser(prog="camber tool")
     parser.add_argument("--width-m", type=number_from(0.5, 20.0, "m"))
     parser.add_argument("--band", type=whole_from(1, 12))
@@ -29,19 +29,19 @@ def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.mark.parametrize("text", ["0.49", "20.001", "nan", "inf", "-inf", "wide", "", "0x1"])
 def test_a_number_beyond_its_bounds_is_named_with_its_option_and_what_was_expected(text, capsys) -> None:
     expected = f"camber tool: error: argument --width-m: {text!r}, expected a number from 0.5 to 20 m"
-    assert said_of([f"--width-m={text}"], capsys) == expected
+    assert error_of([f"--width-m={text}"], capsys) == expected
 
 
 @pytest.mark.parametrize("text", ["0", "13", "1.0", "nan", "first", "", "9" * 5000])
 def test_a_whole_number_beyond_its_bounds_is_too(text, capsys) -> None:
     expected = f"camber tool: error: argument --band: {text!r}, expected a whole number from 1 to 12"
-    assert said_of([f"--band={text}"], capsys) == expected
+    assert error_of([f"--band={text}"], capsys) == expected
 
 
 @pytest.mark.parametrize("place", [("90.1", "0"), ("0", "180.1"), ("nan", "0"), ("0", "east")])
-def test_of_several_numbers_each_has_bounds_of_its_own(place, capsys) -> None:
+def test_of_several_numbers_each_has_its_bounds(place, capsys) -> None:
     bad = place[0] if place[1] == "0" else place[1]
-    assert f"argument --place: {bad!r}, expected a number from " in said_of(["--place", *place], capsys)
+    assert f"argument --place: {bad!r}, expected a number from " in error_of(["--place", *place], capsys)
 
 
 @pytest.mark.parametrize(

@@ -108,11 +108,8 @@ def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_p
     later = RecordingFiles(tmp_path, "car", OPEN)
     later.write(motions(0, 5), now_s=9.0)
     later.close()
-    assert [path.name[-8:] for files in (first, second, later) for path in files.files] == [
-        "000.mcap",
-        "001.mcap",
-        "002.mcap",
-    ]
+    names = [path.name[-8:] for files in (first, second, later) for path in files.files]
+    assert names == ["000.mcap", "001.mcap", "002.mcap"]
     assert sequences(first.files[0]) == list(range(30))
     assert sequences(second.files[0]) == list(range(5, 35))
     assert sequences(later.files[0]) == list(range(5))
@@ -120,13 +117,8 @@ def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_p
 
 def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path: Path) -> None:
     n = 100_000
-    sweep = Sweep(
-        time_ns=T,
-        sensor="top",
-        points_m=np.zeros((n, 3), np.float32),
-        intensity=np.zeros(n, np.float32),
-        offset_ns=np.zeros(n, np.int32),
-    )
+    points_m, offset_ns = np.zeros((n, 3), np.float32), np.zeros(n, np.int32)
+    sweep = Sweep(time_ns=T, sensor="top", points_m=points_m, intensity=points_m[:, 0], offset_ns=offset_ns)
     one = RawSample("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
     files = RecordingFiles(tmp_path, "car", OPEN)
     files.write([one] * 50, now_s=0.0)
@@ -137,9 +129,7 @@ def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path
 
 def test_a_kill_costs_seconds_whatever_times_stand_in_the_messages(tmp_path: Path) -> None:
     files = RecordingFiles(tmp_path, "car", OPEN)
-    files.write(
-        motions(10**9, 1), now_s=0.0
-    )  # three years ahead: a clock that is set back, or somebody's mistake
+    files.write(motions(10**9, 1), now_s=0.0)  # three years ahead: a clock that is set back, or a mistake
     for n in range(1, 61):
         files.write(motions(10 * n, 10), now_s=float(n))
     (path,) = files.files  # as a kill leaves it
@@ -200,7 +190,7 @@ def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: 
         chosen(names, without, sweeps=False)
 
 
-def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """Of wrong usage: the last line, after argparse's own."""
     with pytest.raises(SystemExit) as ended:
         raise SystemExit(main(arguments))
@@ -215,16 +205,16 @@ def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_number_that_is_none_is_refused(
     tmp_path: Path, option: str, number: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert f"argument {option}: " in said_of(["--out", str(tmp_path), f"{option}={number}"], capsys)
+    assert f"argument {option}: " in error_of(["--out", str(tmp_path), f"{option}={number}"], capsys)
 
 
 def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
-    output = said_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
+    output = error_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
     assert output == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
-    assert "argument --max-mb" in said_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
+    assert "argument --max-mb" in error_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
     assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -232,5 +222,5 @@ def test_a_file_in_place_of_the_folder_is_wrong_usage(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
-    output = said_of(["--out", str(tmp_path / "file")], capsys)
+    output = error_of(["--out", str(tmp_path / "file")], capsys)
     assert output == f"camber record: --out {tmp_path / 'file'}: File exists"

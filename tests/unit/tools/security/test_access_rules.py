@@ -76,12 +76,12 @@ def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
 
 
 @pytest.mark.parametrize("others", [("map_update", "consumer"), ALL])
-def test_a_vehicle_says_nothing_but_in_its_own_name(others: tuple[str, ...]) -> None:
+def test_a_vehicle_publishes_only_under_its_name(others: tuple[str, ...]) -> None:
     for rule in allowed_messages(Party(kind="vehicle", name="car-1"), others):
         if rule.flow == "ingress" and rule.message in {*SAYS, "liveliness_token"}:
-            own = rule.key.startswith(("camber/v1/car-1/", "camber/v1/fleet/car-1/"))
+            is_under_its_name = rule.key.startswith(("camber/v1/car-1/", "camber/v1/fleet/car-1/"))
             asks_for_the_map = rule.message == "query" and rule.key.startswith("camber/v1/fleet/map/")
-            assert own or asks_for_the_map, rule
+            assert is_under_its_name or asks_for_the_map, rule
         assert rule.message != "delete"
 
 
@@ -103,7 +103,7 @@ def test_only_map_update_publishes_releases_and_answers_for_the_fleet() -> None:
         assert bool(output & wanted) == (kind == "map_update"), kind
 
 
-def test_consumers_only_hear_verdicts_and_positions() -> None:
+def test_consumers_receive_only_verdicts_and_positions() -> None:
     rules = allowed_messages(Party(kind="consumer", name="dashboard"), ALL)
     assert keys(rules, "ingress", *SAYS) == {"camber/v1/dashboard/echo"}
     assert keys(rules, "ingress", "declare_subscriber") == {
@@ -132,10 +132,10 @@ def test_without_a_judge_in_the_cloud_its_inputs_stay_in_the_vehicle() -> None:
     assert keys(rules, "ingress", "reply") == set()
 
 
-def test_a_vehicles_own_router_lets_out_what_the_clouds_lets_in_and_no_more() -> None:
+def test_the_vehicle_s_router_mirrors_the_rules_of_the_cloud_s() -> None:
     control = vehicle_access_control("car-1", ["map_update", "consumer"])
     (ids,) = [policy["rules"] for policy in control["policies"] if policy["subjects"] == ["cloud"]]
-    own = {
+    mirrored = {
         (flow, message, key)
         for rule in control["rules"]
         if rule["id"] in ids
@@ -143,7 +143,7 @@ def test_a_vehicles_own_router_lets_out_what_the_clouds_lets_in_and_no_more() ->
     }
     turned = {"ingress": "egress", "egress": "ingress"}
     clouds = allowed_messages(Party(kind="vehicle", name="car-1"), ["map_update", "consumer"])
-    assert own == {(turned[rule.flow], rule.message, rule.key) for rule in clouds}
+    assert mirrored == {(turned[rule.flow], rule.message, rule.key) for rule in clouds}
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,8 @@ from camber.tools.security.certificates import Authority, IssuedCertificate, com
 def folder(tmp_path: Path) -> Path:
     made = tmp_path / "pki"
     arguments = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
-    assert (
-        certs.main([*arguments, "--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]) == 0
-    )
+    arguments += ["--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]
+    assert certs.main(arguments) == 0
     return made
 
 
@@ -60,9 +59,8 @@ def test_strict_verifiers_take_them(folder: Path) -> None:
 
 def test_only_a_router_can_be_joined(folder: Path) -> None:
     for name, joined in (("cloud", True), ("car-1", False), ("map_update", False)):
-        usage = read_certificate(folder / f"{name}.pem").extensions.get_extension_for_class(
-            x509.ExtendedKeyUsage
-        )
+        extensions = read_certificate(folder / f"{name}.pem").extensions
+        usage = extensions.get_extension_for_class(x509.ExtendedKeyUsage)
         assert (ExtendedKeyUsageOID.SERVER_AUTH in usage.value) == joined
 
 
@@ -96,9 +94,8 @@ def test_a_renewed_router_is_reached_at_the_same_places_or_at_those_that_are_nam
     def hosts() -> tuple[list[str], list[str]]:
         names = read_certificate(folder / "cloud.pem").extensions
         places = names.get_extension_for_class(x509.SubjectAlternativeName).value
-        return places.get_values_for_type(x509.DNSName), list(
-            map(str, places.get_values_for_type(x509.IPAddress))
-        )
+        addresses = map(str, places.get_values_for_type(x509.IPAddress))
+        return places.get_values_for_type(x509.DNSName), list(addresses)
 
     renew = ["issue", str(folder), "cloud", "--kind", "router", "--renew"]
     assert certs.main(renew) == 0
@@ -157,7 +154,7 @@ def test_a_router_that_was_revoked_and_issued_anew_is_given_its_file(
 
 
 @pytest.mark.parametrize("more", [[], ["--router", "cloud"], ["--router", "x", "--vehicle", "car-1"]])
-def test_what_is_revoked_is_not_listed_by_hand_either(
+def test_a_revoked_name_cannot_be_listed_by_hand(
     folder: Path, tmp_path: Path, more: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("cloud", "car-1"):
@@ -267,7 +264,7 @@ def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
         "::1",
         "7.b",
     ]
-    arguments = [word for host in hosts for word in ("--host", host)]
+    arguments = [argument for host in hosts for argument in ("--host", host)]
     assert certs.main(["make", str(tmp_path / "pki"), *arguments]) == 0
     names = read_certificate(tmp_path / "pki" / "cloud.pem").extensions
     places = names.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -344,7 +341,7 @@ def test_a_revocation_meanwhile_is_not_undone_and_no_certificate_is_lost(
     threads = [threading.Thread(target=certs.main, args=(arguments,)) for arguments in others]
     for thread in threads:
         thread.start()
-        thread.join(0.5)  # time enough for whoever does not wait
+        thread.join(0.5)  # time enough for a thread that does not wait
     go_on.set()
     for thread in (first, *threads):
         thread.join(30.0)
@@ -377,9 +374,6 @@ def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next
 
 
 def test_no_lock_is_left_in_a_folder_that_is_no_authority_s(tmp_path: Path) -> None:
-    for arguments in (
-        ["revoke", str(tmp_path), "car-1"],
-        ["issue", str(tmp_path), "car-1", "--kind", "vehicle"],
-    ):
-        assert certs.main(arguments) == 2
+    assert certs.main(["revoke", str(tmp_path), "car-1"]) == 2
+    assert certs.main(["issue", str(tmp_path), "car-1", "--kind", "vehicle"]) == 2
     assert list(tmp_path.iterdir()) == []

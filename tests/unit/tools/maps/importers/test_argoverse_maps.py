@@ -49,18 +49,18 @@ def test_under_each_pose_the_map_says_what_the_raster_says(tmp_path: Path, name:
     assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(folder)]) == 0
     log = read_log(folder)
     places_m = log.city_from_egovehicle[::POSES_APART, :3, 3]
-    found_m = elevations(tmp_path / "map", log.city, places_m)
-    off_m = np.abs(found_m - log.ground.height_between(places_m))
-    cell_m = np.abs(found_m - log.ground.height(places_m))
-    own_m = np.abs(log.ground.height_between(places_m) - log.ground.height(places_m))
-    above_m = places_m[:, 2] - found_m
+    height_m = elevations(tmp_path / "map", log.city, places_m)
+    off_m = np.abs(height_m - log.ground.height_between(places_m))
+    cell_m = np.abs(height_m - log.ground.height(places_m))
+    lane_m = np.abs(log.ground.height_between(places_m) - log.ground.height(places_m))
+    above_m = places_m[:, 2] - height_m
     print(f"{name}: off the raster p95 {np.percentile(off_m, 95):.4f}, its cells {np.percentile(cell_m, 95):.4f} "
-          f"(raster itself {np.percentile(own_m, 95):.4f}), origin above {above_m.mean():.4f} ± {above_m.std():.4f} "
+          f"(raster itself {np.percentile(lane_m, 95):.4f}), origin above {above_m.mean():.4f} ± {above_m.std():.4f} "
           f"(median {np.median(above_m):.4f})")  # fmt: skip
-    assert np.isfinite(found_m).all()
+    assert np.isfinite(height_m).all()
     assert np.percentile(off_m, 95) <= WITHIN_M
     # The raster's own steps of up to 6 cm, which a bilinear surface goes over within a cell.
-    assert np.percentile(cell_m, 95) <= np.percentile(own_m, 95) + 0.5 * WITHIN_M
+    assert np.percentile(cell_m, 95) <= np.percentile(lane_m, 95) + 0.5 * WITHIN_M
     assert 0.30 <= above_m.mean() <= 0.32
 
 
@@ -73,7 +73,7 @@ def test_a_city_s_metres_are_those_of_its_zone() -> None:
     assert np.abs(back - np.column_stack((x, y))).max() < 1e-6
 
 
-def test_with_an_origin_of_its_own_the_city_is_a_plane_there() -> None:
+def test_with_an_origin_the_city_is_a_plane_there() -> None:
     frame = CityFrame.at(35.0, 137.0)
     latitude, longitude = frame.to_geodetic(np.array([0.0, 300.0]), np.array([0.0, -400.0]))
     assert np.degrees([latitude[0], longitude[0]]) == pytest.approx([35.0, 137.0])

@@ -134,9 +134,9 @@ def test_a_geotiff_of_each_level_comes_back_within_a_millimetre(release: Path, t
         assert set(again.road_surfaces().link_id.tolist()) == {3 if level == 0 else 5}
         assert len(again.road_links()) == 2
         places_m = along(level)
-        found_m = heights(again, places_m, level)
-        assert np.isfinite(found_m).all()
-        assert np.abs(found_m - heights(read_release(release), places_m, level)).max() < 0.001
+        read_m = heights(again, places_m, level)
+        assert np.isfinite(read_m).all()
+        assert np.abs(read_m - heights(read_release(release), places_m, level)).max() < 0.001
 
 
 def test_autoware_s_cells_hold_each_point_once_where_the_projector_says(

@@ -80,9 +80,9 @@ def errors(folder: Path) -> tuple[Any, Any, Any]:
     surfaces = read_release(folder).road_surfaces()
     heights, height_m, outside_m = SurfaceHeights(surfaces), np.full(len(x), np.nan), np.full(len(x), np.inf)
     for row in range(len(surfaces)):
-        found_m, off_m = heights.heights_m(np.full(len(x), row), latitude, longitude)
+        surface_m, off_m = heights.heights_m(np.full(len(x), row), latitude, longitude)
         nearer = off_m < outside_m
-        height_m[nearer], outside_m[nearer] = found_m[nearer], off_m[nearer]
+        height_m[nearer], outside_m[nearer] = surface_m[nearer], off_m[nearer]
     return x - CORNER_M[0], height_m - surface(x, y), outside_m
 
 
@@ -98,7 +98,7 @@ def test_a_raster_that_says_ellipsoidal_needs_no_more(tmp_path: Path) -> None:
     assert read_release(tmp_path / "map").road_surfaces().sigma_m == pytest.approx(0.02, abs=1e-3)
 
 
-def test_a_raster_without_a_vertical_datum_is_refused_and_told_how_to_name_it(
+def test_a_raster_without_a_vertical_datum_is_refused_naming_the_option(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raster, roads = geotiff(tmp_path / "dem.tif", cells(), ZONE), line(tmp_path / "road.geojson")
@@ -122,15 +122,16 @@ def test_a_geoid_whose_grid_is_missing_is_refused_by_its_file_s_name(
 
 
 @pytest.mark.parametrize(
-    ("crs", "word"), [(None, "CRS"), (f"{ZONE}+6360", "metre"), ("EPSG:6690", "datum"), ("EPSG:4978", "CRS")]
+    ("crs", "argument"),
+    [(None, "CRS"), (f"{ZONE}+6360", "metre"), ("EPSG:6690", "datum"), ("EPSG:4978", "CRS")],
 )
 def test_without_a_system_in_feet_on_another_datum_or_geocentric_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], crs: str | None, word: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], crs: str | None, argument: str
 ) -> None:
     raster = geotiff(tmp_path / "dem.tif", cells(), crs)
     assert build(raster, line(tmp_path / "road.geojson"), "--vertical-datum", "ellipsoidal") == 2
     output = capsys.readouterr().err
-    assert word in output
+    assert argument in output
     assert len(output.splitlines()) == 1
 
 
@@ -148,7 +149,7 @@ def test_where_a_raster_has_no_data_there_is_no_surface(tmp_path: Path) -> None:
     assert np.abs(off_m[outside_m == 0.0]).max() < 0.001
 
 
-def test_a_rough_raster_gives_a_larger_sigma_and_a_scaled_one_its_own_metres(tmp_path: Path) -> None:
+def test_a_rough_raster_gives_a_larger_sigma_and_a_scaled_one_metres(tmp_path: Path) -> None:
     import pyproj
 
     rng = np.random.default_rng(9)

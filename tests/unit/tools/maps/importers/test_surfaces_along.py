@@ -54,9 +54,9 @@ def covering(surfaces: RoadSurfaces, places_m: Floats) -> tuple[Floats, Floats]:
     heights = SurfaceHeights(surfaces)
     height_m, outside_m = np.full(len(places_m), np.nan), np.full(len(places_m), np.inf)
     for row in range(len(surfaces)):
-        found_m, off_m = heights.heights_m(np.full(len(places_m), row), latitude, longitude)
+        surface_m, off_m = heights.heights_m(np.full(len(places_m), row), latitude, longitude)
         nearer = off_m < outside_m
-        height_m[nearer], outside_m[nearer] = found_m[nearer], off_m[nearer]
+        height_m[nearer], outside_m[nearer] = surface_m[nearer], off_m[nearer]
     return height_m, outside_m
 
 
@@ -109,8 +109,8 @@ def test_where_the_ground_is_not_known_there_is_no_surface_and_all_around_there_
 
 def test_a_road_known_to_one_side_only_has_surfaces_as_wide_as_is_known() -> None:
     line = np.array([[0.0, 0.0], [40.0, 0.0]])
-    beside = HillWithHole((20.0, 101.0), 100.0)  # from some 1 m to the left on nothing is known
-    surfaces = surfaces_along(roads(line, half_width_m=3.0), beside, spacing_m=0.5, seen_ns=SEEN_NS)
+    next_to = HillWithHole((20.0, 101.0), 100.0)  # from some 1 m to the left on nothing is known
+    surfaces = surfaces_along(roads(line, half_width_m=3.0), next_to, spacing_m=0.5, seen_ns=SEEN_NS)
     places = np.array([[20.0, -2.0], [20.0, 0.0], [20.0, 2.0]])
     _, outside_m = covering(surfaces, places)
     assert outside_m[:2].max() == 0.0

@@ -93,7 +93,7 @@ def build(path: Path, *more: str) -> int:
     return main(["map", "build", "drive", "--out", str(path.parent / "map"), *BUILD, *more, str(path)])
 
 
-def test_a_drive_over_its_own_road_makes_two_levels_and_none_where_it_has_no_positions(
+def test_a_drive_over_its_earlier_road_makes_two_levels_and_none_without_positions(
     tmp_path: Path,
 ) -> None:
     write_truth(tmp_path / "truth.csv", drive(over=True))
@@ -124,13 +124,14 @@ def _of_level(surfaces: RoadSurfaces, level: int) -> RoadSurfaces:
     return RoadSurfaces(**columns)
 
 
-def recorded(path: Path, way: str, wrong_from: int) -> Path:
+def recorded(path: Path, method: str, wrong_from: int) -> Path:
     """A replay whose judge confirmed all but the epochs from `wrong_from` on, which are 3 m too high."""
     truth = drive()
     with Recorder(path / "recording.mcap") as recorder:
         for k in range(len(truth)):
             time_ns = int(truth.time_ns[k])
-            height = AntennaHeight(time_ns=time_ns, status="known", way=way, height_m=ANTENNA_M, sigma_m=0.01)
+            known = {"status": "known", "way": method, "height_m": ANTENNA_M, "sigma_m": 0.01}
+            height = AntennaHeight(time_ns=time_ns, **known)
             wrong = k >= wrong_from
             verdict = Verdict(
                 time_ns=time_ns,
@@ -158,9 +159,9 @@ def test_of_a_replay_only_what_the_judge_confirmed_becomes_road(tmp_path: Path) 
     assert build(recorded(folder, "stroke", 60)) == 0
     surfaces = read_release(tmp_path / "map").road_surfaces()
     truth = drive()
-    found_m = heights(surfaces, truth.latitude_rad, truth.longitude_rad)
-    assert np.abs(found_m[:60] - (truth.height_m[:60] - ANTENNA_M)).max() < 0.03
-    assert np.isnan(found_m[66:]).all()
+    road_m = heights(surfaces, truth.latitude_rad, truth.longitude_rad)
+    assert np.abs(road_m[:60] - (truth.height_m[:60] - ANTENNA_M)).max() < 0.03
+    assert np.isnan(road_m[66:]).all()
 
 
 def test_an_antenna_s_height_that_rests_on_the_map_makes_no_map(
