@@ -62,28 +62,31 @@ def _rays(origin_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
 @compiled_without_gil
 def _first_hits(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float, hits: Hits) -> None:
     origin, towards = rays
+    distance, material, normal = hits
+    kind, row_of, table = shapes.solid_kind, shapes.solid_row, shapes.corner_and_edges
+    boxes, cylinders, crowns = shapes.boxes, shapes.cylinders, shapes.crowns
+    solid_material, triangle_material = shapes.solid_material, shapes.triangle_material
     for i in range(len(origin)):
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
         at, sort, k = nearest(shapes, (x, y, z, dx, dy, dz), max_m, False)
         if sort == NOTHING:
             continue
-        hits.distance_m[i] = at
+        distance[i] = at
         point = x + at * dx, y + at * dy, z + at * dz
         if sort == TRIANGLE:
-            hits.material[i] = shapes.triangle_material[k]
-            nx, ny, nz = triangle_normal(shapes.corner_and_edges, k)
+            material[i] = triangle_material[k]
+            nx, ny, nz = triangle_normal(table, k)
         else:
-            hits.material[i] = shapes.solid_material[k]
-            row = shapes.solid_row[k]
-            if shapes.solid_kind[k] == BOX:
-                nx, ny, nz = box_normal(shapes.boxes, row, point)
-            elif shapes.solid_kind[k] == CYLINDER:
-                nx, ny, nz = cylinder_normal(shapes.cylinders, row, point)
+            material[i] = solid_material[k]
+            if kind[k] == BOX:
+                nx, ny, nz = box_normal(boxes, row_of[k], point)
+            elif kind[k] == CYLINDER:
+                nx, ny, nz = cylinder_normal(cylinders, row_of[k], point)
             else:
-                nx, ny, nz = crown_normal(shapes.crowns, row, point)
+                nx, ny, nz = crown_normal(crowns, row_of[k], point)
         side = -1.0 if nx * dx + ny * dy + nz * dz > 0.0 else 1.0
-        hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2] = side * nx, side * ny, side * nz
+        normal[i, 0], normal[i, 1], normal[i, 2] = side * nx, side * ny, side * nz
 
 
 @compiled_without_gil
@@ -99,25 +102,25 @@ def _blocked(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float) -
 @compiled_without_gil
 def _through_crowns(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float) -> Floats:
     origin, towards = rays
-    solids = shapes.solids
-    spans, metres = np.empty((len(shapes.crowns) + 1, 2)), np.zeros(len(origin))
+    grid, kind, row_of, crowns = shapes.grid, shapes.solid_kind, shapes.solid_row, shapes.crowns
+    first, shape, span_m, cell_span = shapes.solids
+    spans, metres = np.empty((len(crowns) + 1, 2)), np.zeros(len(origin))
     for i in range(len(origin)):
         ray = origin[i, 0], origin[i, 1], origin[i, 2], towards[i, 0], towards[i, 1], towards[i, 2]
         used = 0
-        at_cell, steps = first_cell(shapes.grid, ray, max_m)
+        at_cell, steps = first_cell(grid, ray, max_m)
         while at_cell[0] >= 0:
             cell = at_cell[0]
             low, high = heights(ray, at_cell)
-            if low <= solids.cell_span_m[cell, 1] and high >= solids.cell_span_m[cell, 0]:
-                for j in range(solids.first[cell], solids.first[cell + 1]):
-                    k = solids.shape[j]
-                    in_span = low <= solids.span_m[j, 1] and high >= solids.span_m[j, 0]
-                    if in_span and shapes.solid_kind[k] == CROWN:
-                        a, b = crown_span(shapes.crowns, shapes.solid_row[k], ray)
+            if low <= cell_span[cell, 1] and high >= cell_span[cell, 0]:
+                for j in range(first[cell], first[cell + 1]):
+                    k = shape[j]
+                    if kind[k] == CROWN and low <= span_m[j, 1] and high >= span_m[j, 0]:
+                        a, b = crown_span(crowns, row_of[k], ray)
                         a, b = max(a, 0.0), min(b, max_m)
                         if a < b:
                             used = _joined(spans, used, a, b)
-            at_cell = next_cell(shapes.grid, steps, at_cell)
+            at_cell = next_cell(grid, steps, at_cell)
         for j in range(used):
             metres[i] += spans[j, 1] - spans[j, 0]
     return metres

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from camber.compiled.decorator import compiled
+from camber.simulator.scene import Floats, Integers
 from camber.simulator.world.ray_shapes import Ray, box_span, crown_span, cylinder_span, triangle_distance
 from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, Grid, GriddedShapes
 
@@ -20,6 +21,9 @@ Cell = tuple[int, float, float, int, int, float, float]
 and row begin."""
 Steps = tuple[int, int, float, float, float]
 """To the next column and row, and how far that is on the ray; where the path ends."""
+
+Solids = tuple[Integers, Integers, Floats, Floats, Floats]
+"""Kind and row of each solid; boxes, cylinders, crowns."""
 
 
 @compiled
@@ -81,13 +85,13 @@ def heights(ray: Ray, cell: Cell) -> tuple[float, float]:
 
 
 @compiled
-def _solid_span(shapes: GriddedShapes, k: int, ray: Ray) -> tuple[float, float]:
-    row = shapes.solid_row[k]
-    if shapes.solid_kind[k] == BOX:
-        return box_span(shapes.boxes, row, ray)
-    if shapes.solid_kind[k] == CYLINDER:
-        return cylinder_span(shapes.cylinders, row, ray)
-    return crown_span(shapes.crowns, row, ray)
+def _solid_span(solids: Solids, k: int, ray: Ray) -> tuple[float, float]:
+    kind, row, boxes, cylinders, crowns = solids
+    if kind[k] == BOX:
+        return box_span(boxes, row[k], ray)
+    if kind[k] == CYLINDER:
+        return cylinder_span(cylinders, row[k], ray)
+    return crown_span(crowns, row[k], ray)
 
 
 @compiled
@@ -97,29 +101,33 @@ def nearest(shapes: GriddedShapes, ray: Ray, max_m: float, blocking: bool) -> tu
     `blocking`: crowns of trees do not count, and any surface will do.
     """
     best, sort, number = max_m, NOTHING, -1
-    solids, triangles = shapes.solids, shapes.triangles
-    at_cell, steps = first_cell(shapes.grid, ray, max_m)
+    # Out of their tuples once: each access in a loop would count references.
+    grid, kind, table = shapes.grid, shapes.solid_kind, shapes.corner_and_edges
+    solids = kind, shapes.solid_row, shapes.boxes, shapes.cylinders, shapes.crowns
+    s_first, s_shape, s_span, s_cell = shapes.solids
+    t_first, t_shape, t_span, t_cell = shapes.triangles
+    at_cell, steps = first_cell(grid, ray, max_m)
     while at_cell[0] >= 0:
         cell, leave = at_cell[0], at_cell[2]
         low, high = heights(ray, at_cell)
-        if low <= triangles.cell_span_m[cell, 1] and high >= triangles.cell_span_m[cell, 0]:
-            for j in range(triangles.first[cell], triangles.first[cell + 1]):
-                if low <= triangles.span_m[j, 1] and high >= triangles.span_m[j, 0]:
-                    at = triangle_distance(shapes.corner_and_edges, triangles.shape[j], ray)
+        if low <= t_cell[cell, 1] and high >= t_cell[cell, 0]:
+            for j in range(t_first[cell], t_first[cell + 1]):
+                if low <= t_span[j, 1] and high >= t_span[j, 0]:
+                    at = triangle_distance(table, t_shape[j], ray)
                     if _NEAREST_M < at < best:
-                        best, sort, number = at, TRIANGLE, triangles.shape[j]
-        if low <= solids.cell_span_m[cell, 1] and high >= solids.cell_span_m[cell, 0]:
-            for j in range(solids.first[cell], solids.first[cell + 1]):
-                k = solids.shape[j]
-                if low > solids.span_m[j, 1] or high < solids.span_m[j, 0]:
-                    continue
-                if blocking and shapes.solid_kind[k] == CROWN:
-                    continue
-                enter, out = _solid_span(shapes, k, ray)
-                at = enter if enter > _NEAREST_M else out
-                if enter <= out and _NEAREST_M < at < best:
-                    best, sort, number = at, SOLID, k
+                        best, sort, number = at, TRIANGLE, t_shape[j]
+        if low <= s_cell[cell, 1] and high >= s_cell[cell, 0]:
+            for j in range(s_first[cell], s_first[cell + 1]):
+                if low <= s_span[j, 1] and high >= s_span[j, 0]:
+                    k = s_shape[j]
+                    if blocking and kind[k] == CROWN:
+                        continue
+                    enter, out = _solid_span(solids, k, ray)
+                    if enter <= out:
+                        at = enter if enter > _NEAREST_M else out
+                        if _NEAREST_M < at < best:
+                            best, sort, number = at, SOLID, k
         if sort != NOTHING and (blocking or best <= leave):
             break
-        at_cell = next_cell(shapes.grid, steps, at_cell)
+        at_cell = next_cell(grid, steps, at_cell)
     return (math.inf, NOTHING, -1) if sort == NOTHING else (best, sort, number)
