@@ -1,4 +1,4 @@
-"""The decoders that are attacked: a new one is one more entry in DECODERS."""
+"""The fuzzed decoders: a new one is one more entry in DECODERS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -131,17 +131,10 @@ def _solutions(random: Random) -> list[ReceiverSolution]:
 
 def _nmea(random: Random) -> list[list[bytes]]:
     def sentences() -> list[bytes]:
-        return [
-            sentence
-            for solution in _solutions(random)
-            for sentence in (
-                format_rmc(solution),
-                format_gga(solution, geoid_separation_m=37.5),
-                format_gst(solution),
-            )
-        ]
+        encode = (format_rmc, partial(format_gga, geoid_separation_m=37.5), format_gst)
+        return [sentence(solution)[1:-5] for solution in _solutions(random) for sentence in encode]
 
-    return [[sentence[1:-5] for sentence in sentences()] for _ in range(8)]
+    return [sentences() for _ in range(8)]
 
 
 def _nmea_sentence(content: bytes) -> bytes:
@@ -152,7 +145,7 @@ def _nmea_sentence(content: bytes) -> bytes:
 
 
 def _ubx(random: Random) -> list[list[bytes]]:
-    """Class, identity and content of each message: measurements, subframes, epochs of NAV, statements."""
+    """Class, id and payload of each message: measurements, subframes, NAV epochs, integrity reports."""
     rng = np.random.default_rng(random.getrandbits(32))
     known = {
         system: {k: v for k, v in COMMON[system].items() if k in "1C 2L 5Q 7Q 2I 7I"} for system in "GEJC"
@@ -163,10 +156,10 @@ def _ubx(random: Random) -> list[list[bytes]]:
         for name in ("G05", "E11", "J02", "C19", "C03"):
             toe_ns = TOE_NS + (GPS_MINUS_BDT_NS if name[0] == "C" else 0)
             ephemeris = random_ephemeris(rng, name, toe_ns)
-            # As satellites have it: the parts of one issue are recognised by it.
+            # As satellites send it: IODC and IODE identify the parts of one issue.
             issue = {"iodc": float(ephemeris.iode)} if name[0] in "GJ" else {}
             ephemeris = replace(ephemeris, other={**ephemeris.other, **issue})
-            # Two periods, of which one is whole wherever it begins.
+            # Two periods, of which one is complete for any start.
             parts = subframes_between(ephemeris, TOE_NS, TOE_NS + 60_000_000_000)
             frames += [format_subframe(part) for part in parts]
         for solution in solutions:
@@ -194,7 +187,7 @@ def _navigation_epoch(random: Random, solution: ReceiverSolution) -> list[bytes]
 
 def _ubx_message(content: bytes) -> bytes:
     if len(content) < 2:
-        raise ValueError("no class and identity")
+        raise ValueError("no class and id")
     return ubx_frame(content[0], content[1], content[2:])
 
 
@@ -202,7 +195,7 @@ _SEALS = (_ubx_message, _nmea_sentence, rtcm_frame)
 
 
 def _mixed(random: Random) -> list[list[bytes]]:
-    """Before each content the number of its protocol."""
+    """The number of the protocol precedes each content."""
     streams = []
     for several in zip(_ubx(random), _nmea(random), _rtcm(random), strict=True):
         contents = [bytes([kind]) + part for kind, parts in enumerate(several) for part in parts]
@@ -226,7 +219,7 @@ def _pos(random: Random) -> list[list[bytes]]:
 
 
 def _rinex(random: Random) -> list[list[bytes]]:
-    """The header, epochs, and an event with header lines of its own."""
+    """Header, epochs, and an event with header lines."""
     rng = np.random.default_rng(random.getrandbits(32))
     station = StationHeader(marker="FUZZ", position_ecef_m=(-3.8e6, 3.5e6, 3.7e6))
     files = []
@@ -297,13 +290,8 @@ def _ply(random: Random) -> list[list[bytes]]:
         "ply\nformat {} 1.0\nelement camera 1\nproperty uchar n\nelement vertex 20\nproperty short s\n"
         + "".join(f"property double {axis}\n" for axis in "xyz")
     )
-    files = [
-        [
-            (head.format("ascii") + "end_header\n").encode(),
-            b"7\n",
-            *(b"1 %f %f %f\n" % tuple(p) for p in points),
-        ]
-    ]
+    rows = [b"1 %f %f %f\n" % tuple(point) for point in points]
+    files = [[(head.format("ascii") + "end_header\n").encode(), b"7\n", *rows]]
     for name, sign in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
         rows = np.zeros(20, np.dtype([("s", f"{sign}i2"), ("xyz", f"{sign}f8", 3)]))
         rows["xyz"] = points
@@ -328,7 +316,7 @@ def _tiles(random: Random) -> list[list[bytes]]:
 
 
 def _read_tile(data: bytes) -> None:
-    """As a release and the map server take it, but for the hash, which nobody can damage unseen."""
+    """Check a tile as a release and the map server do, without the hash, which detects any damage."""
     named = [cls for cls in _TILES if cls.schema_name().encode() in data[:100]]
     tile = decoded((named or _TILES)[0], data, "tile")
     wrong = tile_defect(tile)
@@ -382,15 +370,11 @@ _FLAT_EARTH = Projection(lambda x, y: (np.clip(1e-7 * y, -1.4, 1.4), np.clip(1e-
 
 
 def _lanelets(random: Random) -> list[list[bytes]]:
-    """Of a made-up town lanelets with a few points each, element by element."""
+    """Lanelets of a synthetic town with a few points each, by XML element."""
     town = lanelet_maps.town()
     few = [
-        replace(
-            lanelet,
-            left=lanelet.left[::12] + lanelet.left[-1:],
-            right=lanelet.right[::15] + lanelet.right[-1:],
-        )
-        for lanelet in town.lanelets
+        replace(each, left=each.left[::12] + each.left[-1:], right=each.right[::15] + each.right[-1:])
+        for each in town.lanelets
     ]
     used = {ref for lanelet in few for ref in lanelet.left + lanelet.right}
     rows = {ref: row for ref, row in town.row_of.items() if ref in used}
@@ -406,7 +390,7 @@ def _read_lanelets(data: bytes) -> None:
 
 
 def _drives(random: Random) -> list[list[bytes]]:
-    """Of a made-up town the shorter roads, element by element."""
+    """The shorter roads of a synthetic town, by XML element."""
     town = opendrive_maps.town()
     return [
         opendrive_bytes(replace(town, roads=[road])).splitlines(keepends=True)
@@ -415,9 +399,9 @@ def _drives(random: Random) -> list[list[bytes]]:
 
 
 def _read_drive(data: bytes) -> None:
-    """As `camber map build` does, but for the projection, which is PROJ's."""
+    """As `camber map build` does, without the projection of PROJ."""
     drive = opendrive_map(data, "fuzz")
-    if sum(road.length_m for road in drive.roads) < 2_000.0:  # long roads take time, and are no other roads
+    if sum(road.length_m for road in drive.roads) < 2_000.0:  # long roads only take time
         ellipsoidal = vertical_datum("ellipsoidal", "WGS84", "fuzz")
         frame, lanes = lanes_of_roads(
             drive, _FLAT_EARTH, ellipsoidal, types=frozenset(LANE_TYPES), file="fuzz"

@@ -38,13 +38,8 @@ def motion(i: int) -> Motion:
 
 def sweep(i: int) -> Sweep:
     points = np.full((5, 3), float(i), np.float32)
-    return Sweep(
-        time_ns=START_NS + i * 100_000_000,
-        sensor="top",
-        points_m=points,
-        intensity=np.zeros(5, np.float32),
-        offset_ns=np.zeros(5, np.int32),
-    )
+    zeros = {"intensity": np.zeros(5, np.float32), "offset_ns": np.zeros(5, np.int32)}
+    return Sweep(time_ns=START_NS + i * 100_000_000, sensor="top", points_m=points, **zeros)
 
 
 def record(path: Path, count: int = 300) -> list[Motion]:

@@ -389,15 +389,10 @@ def test_text_after_the_last_type_is_an_error():
     "bad",
     [
         head(3).replace("2024", "20x4"),
-        head(3).replace("  0  3", "  7  3"),
-        head(3).replace("  0  3", "     3"),
-        head(3).replace("  0  3", "  0  x"),
-        head(3).replace("  0  3", "  0   "),
+        *(head(3).replace("  0  3", count) for count in ("  7  3", "     3", "  0  x", "  0   ")),
         head(3).replace("12 00  0.", "12 00 61."),
         head(3).replace(" 0.0000000", " 0.000000 "),
-        head(3)[:20] + "\n",
-        head(4),
-        head(999),
+        *(head(3)[:20] + "\n", head(4), head(999)),
     ],
 )
 def test_malformed_epoch_line_costs_its_epoch(bad):
@@ -416,17 +411,8 @@ def test_too_long_line_does_not_depend_on_chunks(begun: str, rest: str):
     text = header() + head(2) + begun + rest + "\n" + satellite("G02") + good
     data, first = text.encode(), len(header() + head(2))
     epochs, errors, _ = decode(data)
-    for cut in (
-        first,
-        first + 1,
-        first + 100,
-        first + 8192,
-        first + 8193,
-        first + 8194,
-        len(data) - len(good),
-    ):
-        if cut >= len(data):
-            continue
+    cuts = [*(first + k for k in (0, 1, 100, 8192, 8193, 8194)), len(data) - len(good)]
+    for cut in (cut for cut in cuts if cut < len(data)):
         decoder = RinexDecoder("test.obs")
         results = decoder.feed(data[:cut]) + decoder.feed(data[cut:]) + decoder.finish()
         assert [str(r) for r in results if isinstance(r, FormatError)] == [str(e) for e in errors]

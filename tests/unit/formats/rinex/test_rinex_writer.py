@@ -108,12 +108,11 @@ def ephemeris(name: str, **other: float) -> Ephemeris:
         perigee_rad=float(angles[1]),
         mean_anomaly_rad=float(angles[2]),
         mean_motion_difference_rad_s=4e-9,
-        cuc=float(harmonics[0]) * 1e-6,
-        cus=float(harmonics[1]) * 1e-6,
+        **dict(
+            zip(("cuc", "cus", "cic", "cis"), (harmonics * (1e-6, 1e-6, 1e-7, 1e-7)).tolist(), strict=True)
+        ),
         crc_m=211.5,
         crs_m=-40.25,
-        cic=float(harmonics[2]) * 1e-7,
-        cis=float(harmonics[3]) * 1e-7,
         accuracy_m=2.0,
         health=0,
         other=other,
@@ -159,20 +158,11 @@ def test_written_ephemerides_have_12_digits_in_system_time(e):
     ]  # fmt: skip
     assert n[:20] == pytest.approx(broadcast, rel=1e-12, abs=1e-30)
     assert n[23:25] == [e.accuracy_m, 0.0]
-    o = e.other
-    delays = {
-        "G": ("tgd_s", "iodc"),
-        "J": ("tgd_s", "iodc"),
-        "E": ("bgd_e5a_s", "bgd_e5b_s"),
-        "C": ("tgd1_s", "tgd2_s"),
-    }
-    assert n[25:27] == [o[name] for name in delays[system]]
-    if system == "E":
-        assert n[20] == 517.0
-    if system == "G":
-        assert n[28] == 4.0
-    if system == "J":
-        assert n[28] == 0.0  # a flag: not more than two hours
+    delays = {"E": ("bgd_e5a_s", "bgd_e5b_s"), "C": ("tgd1_s", "tgd2_s")}.get(system, ("tgd_s", "iodc"))
+    assert n[25:27] == [e.other[name] for name in delays]
+    # Data sources; hours; a flag: not more than two hours.
+    index, value = {"E": (20, 517.0), "G": (28, 4.0), "J": (28, 0.0), "C": (28, 1.0)}[system]
+    assert n[index] == value
 
 
 def test_header_contains_the_ionosphere_and_unknown_systems_are_refused():

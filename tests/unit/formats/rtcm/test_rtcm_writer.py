@@ -120,36 +120,26 @@ ORBIT = (
     *("toe", "cic", "ascending_node_rad", "cis", "inclination_rad", "crc_m", "perigee_rad"),
     "ascending_node_rate_rad_s",
 )
+
+
+def numbers(toc: int, orbit: int, **more: int) -> dict[str, int]:
+    """Data fields of a message: toc, af2, af1, af0 in a row, then the orbit."""
+    clock = {"toc": toc, "af2": toc + 1, "af1": toc + 2, "af0": toc + 3}
+    return clock | {name: orbit + k for k, name in enumerate(ORBIT)} | more
+
+
 NUMBERS = {
-    "1019": {"toc": 81, "af2": 82, "af1": 83, "af0": 84} | {name: 86 + k for k, name in enumerate(ORBIT)},
-    "1042": {"toc": 493, "af2": 494, "af1": 495, "af0": 496}
-    | {name: 498 + k for k, name in enumerate(ORBIT)},
-    "1044": {"toc": 430, "af2": 431, "af1": 432, "af0": 433}
-    | {name: 435 + k for k, name in enumerate(ORBIT)},
-    "1045": {"toc": 293, "af2": 294, "af1": 295, "af0": 296}
-    | {name: 297 + k for k, name in enumerate(ORBIT)},
+    "1019": numbers(81, 86, inclination_rate_rad_s=79, tgd_s=101, iodc=85, iode=71, health=102),
+    "1042": numbers(
+        493, 498, inclination_rate_rad_s=491, tgd1_s=513, tgd2_s=514, aodc=497, iode=492, health=515
+    ),
+    "1044": numbers(430, 435, inclination_rate_rad_s=450, tgd_s=455, iodc=456, iode=434, health=454),
+    "1045": numbers(293, 297, inclination_rate_rad_s=292, bgd_e5a_s=312, iode=290),
+    "1046": numbers(293, 297, inclination_rate_rad_s=292, bgd_e5a_s=312, bgd_e5b_s=313, iode=290),
 }
-NUMBERS["1046"] = dict(NUMBERS["1045"])
-NUMBERS["1019"] |= {"inclination_rate_rad_s": 79, "tgd_s": 101, "iodc": 85, "iode": 71, "health": 102}
-NUMBERS["1042"] |= {
-    "inclination_rate_rad_s": 491,
-    "tgd1_s": 513,
-    "tgd2_s": 514,
-    "aodc": 497,
-    "iode": 492,
-    "health": 515,
-}
-NUMBERS["1044"] |= {"inclination_rate_rad_s": 450, "tgd_s": 455, "iodc": 456, "iode": 434, "health": 454}
-NUMBERS["1045"] |= {"inclination_rate_rad_s": 292, "bgd_e5a_s": 312, "iode": 290}
-NUMBERS["1046"] |= {"inclination_rate_rad_s": 292, "bgd_e5a_s": 312, "bgd_e5b_s": 313, "iode": 290}
 TIMES = ("toe", "toc")
-SATELLITE_AND_WEEK = {
-    "1019": (9, 76),
-    "1042": (488, 489),
-    "1044": (429, 452),
-    "1045": (252, 289),
-    "1046": (252, 289),
-}
+SATELLITE_AND_WEEK = {"1019": (9, 76), "1042": (488, 489), "1044": (429, 452)}
+SATELLITE_AND_WEEK |= {"1045": (252, 289), "1046": (252, 289)}
 WEEKS = {
     "1019": (0, 1024),
     "1044": (0, 1024),
@@ -178,12 +168,7 @@ def test_pyrtcm_decodes_ephemerides_within_the_resolution(seed, name, week):
     expected = {"G": ["1019"], "C": ["1042"], "J": ["1044"], "E": ["1045", "1046"]}[name[0]]
     assert [RTCMReader.parse(frame).identity for frame in frames] == expected
     offset_ns = 14 * SECOND_NS if name[0] == "C" else 0
-    values = {
-        "af0": ephemeris.clock[0],
-        "af1": ephemeris.clock[1],
-        "af2": ephemeris.clock[2],
-        **ephemeris.other,
-    }
+    values = dict(zip(("af0", "af1", "af2"), ephemeris.clock, strict=True)) | ephemeris.other
     values["toe"] = (ephemeris.toe_ns - offset_ns) % WEEK_NS / SECOND_NS
     values["toc"] = (ephemeris.toc_ns - offset_ns) % WEEK_NS / SECOND_NS
     for frame in frames:

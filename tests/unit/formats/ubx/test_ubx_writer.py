@@ -219,16 +219,8 @@ def test_pyubx2_decodes_nav_pvt(solution, separation_m):
     assert message.identity == "NAV-PVT"
     assert message.iTOW == solution.time_ns % WEEK_NS // 1_000_000
     utc = utc_from_gps_ns(solution.time_ns)
-    reported = (
-        message.year,
-        message.month,
-        message.day,
-        message.hour,
-        message.min,
-        message.second,
-        message.nano,
-    )
-    assert reported == tuple(utc)
+    names = ("year", "month", "day", "hour", "min", "second", "nano")
+    assert tuple(getattr(message, name) for name in names) == tuple(utc)
     assert (message.validDate, message.validTime, message.fullyResolved) == (1, 1, 1)
     assert message.lat == pytest.approx(math.degrees(solution.latitude_rad), abs=0.51e-7)
     assert message.lon == pytest.approx(math.degrees(solution.longitude_rad), abs=0.51e-7)
@@ -245,9 +237,8 @@ def test_pyubx2_decodes_nav_pvt(solution, separation_m):
         assert message.hAcc == pytest.approx(max(math.sqrt(ee + nn) * 1e3, 1.0), abs=0.51)
         assert message.vAcc == pytest.approx(max(math.sqrt(uu) * 1e3, 1.0), abs=0.51)
     east, north, up = solution.velocity_enu_m_s or (0.0, 0.0, 0.0)
-    assert (message.velE, message.velN, message.velD) == pytest.approx(
-        (east * 1e3, north * 1e3, -up * 1e3), abs=0.51
-    )
+    velocity_mm_s = (east * 1e3, north * 1e3, -up * 1e3)
+    assert (message.velE, message.velN, message.velD) == pytest.approx(velocity_mm_s, abs=0.51)
     if math.hypot(east, north) > 0.01:
         heading = math.degrees(math.atan2(east, north))
         assert abs(math.remainder(message.headMot - heading, 360.0)) < 1e-5
@@ -275,13 +266,8 @@ def test_pyubx2_decodes_nav_hpposllh(solution, separation_m):
 
 
 def test_nonfinite_position_is_refused():
-    solution = ReceiverSolution(
-        time_ns=2300 * WEEK_NS,
-        latitude_rad=math.nan,
-        longitude_rad=0.0,
-        height_m=0.0,
-        quality=SolutionQuality.FIX,
-    )
+    place = {"latitude_rad": math.nan, "longitude_rad": 0.0, "height_m": 0.0}
+    solution = ReceiverSolution(time_ns=2300 * WEEK_NS, **place, quality=SolutionQuality.FIX)
     for write in (format_position_velocity_time, format_high_precision_position):
         with pytest.raises(ValueError, match="expected a finite number"):
             write(solution, geoid_separation_m=0.0)
