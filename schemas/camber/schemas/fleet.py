@@ -18,6 +18,7 @@ from camber.schemas.base import (
     Longitude,
     Message,
     Name,
+    Sha256,
     Sigma,
     Text,
     UInt8,
@@ -25,7 +26,6 @@ from camber.schemas.base import (
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
 
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
 

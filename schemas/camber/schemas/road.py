@@ -32,6 +32,7 @@ from camber.schemas.base import (
     Message,
     Model,
     Name,
+    Sha256,
     Text,
     UInt8,
 )
@@ -130,7 +131,7 @@ class TileRequest(Message):
     x: TileNumber
     y: TileNumber
     layer: Layer
-    have_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    have_sha256: Sha256 | None = None
     part: Count = 0
 
 
@@ -139,7 +140,7 @@ class TileReply(Message):
 
     status: Literal["known", "unchanged", "unknown"]
     reason: Text = ""
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    sha256: Sha256 | None = None
     parts: Count = 0
     payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
 
@@ -212,11 +213,11 @@ class Manifest(Message):
     datum: Name = Field(description="of positions and ellipsoidal heights, e.g. WGS84")
     epoch_year: Annotated[float, Field(ge=1980.0, le=2200.0)]
     surrogate: Text = Field("", description="not empty: not surveyed, and made how")
-    previous_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
-    reference_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
+    previous_sha256: Sha256 | None = None
+    reference_sha256: Sha256 | None = Field(
         None, description="manifest of the survey or import that this release corrects; None: it is one"
     )
-    corrections_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
+    corrections_sha256: Sha256 | None = Field(
         None, description="SurfaceCorrections, kept where releases are made; None: it has none"
     )
     tile_x: Annotated[Int32, ArrayOf("<i4", ("blobs",))]
@@ -255,7 +256,7 @@ class ReleaseRoot(Message):
 
     region: Name
     map_version: Count
-    manifest_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    manifest_sha256: Sha256
     key_id: Name | None = Field(None, description="which key signed; None: unsigned")
     signature: Annotated[UInt8, ArrayOf("|u1", (64,))] | None = Field(None, description="Ed25519")
 

@@ -1,4 +1,4 @@
-"""What the judge says of one fix, with all that it rests on, and the verdict that is published."""
+"""The judgement of one fix with all that it rests on, and the verdict message that is published."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from camber.schemas.pose import Pose
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixJudgement:
-    """The one judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as it came.
+    """The judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as they were used.
 
     `trials`: number of estimates that were judged, of which this is the last. `testable`: False where the fix itself
     was rejected (stale, not fixed, …), so that the history ignores it.

@@ -15,7 +15,7 @@ _NEAR_S = 0.5  # largest age of a pose that gives a displacement; chosen: a car'
 
 
 class LatestInputs:
-    """The inputs beside the fixes, each as it came."""
+    """The newest inputs besides the fixes."""
 
     def __init__(self) -> None:
         self.receiver = ReceiverIntegrityMonitor()
@@ -29,7 +29,7 @@ class LatestInputs:
         return self.poses[-1] if self.poses else None
 
     def add_pose(self, pose: Pose) -> None:
-        """A new pose; one that is older than the last is of no use."""
+        """A new pose; one that is older than the last is ignored."""
         if not self.poses or pose.time_ns > self.poses[-1].time_ns:
             self.poses.append(pose)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from camber.integrity.rules import SAME_EPOCH_S
 
-_REPEAT_NS = 100_000_000  # without an epoch of its own, a word is repeated this often
+_REPEAT_NS = 100_000_000  # period of repetition where there is no epoch to publish for
 _SAME_EPOCH_NS = round(SAME_EPOCH_S * 1e9)
 
 
 class PublishSchedule:
-    """Times of the last words; 0: none yet."""
+    """Times of the last messages; 0: none yet."""
 
     def __init__(self) -> None:
         self._verdict_at_ns = 0  # when it was published
-        self._none_at_ns = 0  # when the word that there is no position was published
+        self._none_at_ns = 0  # when the absence of a position was published
         self._position_ns = 0  # of which time the newest position is
         self._rtk_ns = 0  # of which time the newest confirmed position is
 
@@ -27,15 +27,15 @@ class PublishSchedule:
         self._position_ns = max(self._position_ns, time_ns)
 
     def position(self, time_ns: int) -> None:
-        """Another position, or the word that the pose gives none, has been published."""
+        """Another position, or its absence, has been published for the time of a pose."""
         self._position_ns = max(self._position_ns, time_ns)
 
     def unavailable_position(self, now_ns: int) -> None:
-        """The word that there is no pose has been published."""
+        """The absence of a position has been published."""
         self._none_at_ns = now_ns
 
     def pose_is_due(self, pose_ns: int) -> bool:
-        """Is this pose news, and not of an epoch that has a confirmed position?"""
+        """Is this pose newer than what was published, and not of an epoch that has a confirmed position?"""
         return pose_ns > self._position_ns and pose_ns > self._rtk_ns + _SAME_EPOCH_NS
 
     def verdict_is_due(self, now_ns: int) -> bool:

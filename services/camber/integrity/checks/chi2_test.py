@@ -6,7 +6,7 @@ here, dᵀ S⁻¹ d is χ² with three degrees of freedom, and each part of it a
 beyond that of the false-alarm rate a fix *contradicts*; only below the tighter one of the hold-back rate it *agrees*;
 between them nobody can say, and the verdict is *unknown*.
 
-numpy only; metres; east, north, up; parts are floats or arrays (n,), see `either_number`. Source of the distributions:
+numpy only; metres; east, north, up; parts are floats or arrays (n,), see `scalar_or_array`. Distributions:
 Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4 (χ² with 1, 2, 3 degrees of freedom in closed form).
 """
 

@@ -1,4 +1,4 @@
-"""One fix against pose, road and antenna: the difference, its covariance if it is right, and what the tests say."""
+"""One fix against pose, road and antenna: difference, covariance if the fix is right, and outcomes of the tests."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ACCELERATION_M_S2 = (
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FixComparison:
-    """The difference (3,) of a fix, its covariance S (3, 3) if the fix is right, and what was found.
+    """The difference (3,) of a fix, its covariance S (3, 3) if the fix is right, and the outcomes of the tests.
 
     Fix less pose to the east and north at the fix's time, and fix less road, antenna and correction at its place
-    upwards, NaN where that is not known; metres. `outcome` is the number of one of `determination.REASONS`, `position`
-    the word of the horizontal test; `height_m` is the difference of JP7707657B2 eq. (3), which counts the other way.
+    upwards, NaN where that is not known; metres. `outcome` is an index into `consistency.REASONS`, `position` the
+    outcome of the horizontal test; `height_m` is the difference of JP7707657B2 eq. (3), which counts the other way.
     """
 
     difference_m: Floats

@@ -1,4 +1,4 @@
-"""The determination: what height and horizontal position, alone and together, say of fixes. For n fixes at once.
+"""The determination: tests of height and horizontal position, alone and together, for n fixes at once.
 
 Each test that is asked has two limits, from a rate of false alarms and from a rate of right fixes that may be held
 back; both rates are shared evenly by the tests asked, so that all of them together keep to it, whatever they have in
@@ -100,12 +100,12 @@ class ConsistencyParameters:
 
     @property
     def asks_height(self) -> bool:
-        """Does a verdict need road and antenna?"""
+        """Does a verdict need road and antenna height?"""
         return "height" in self.tests or "joint" in self.tests
 
     @property
     def asks_position(self) -> bool:
-        """Does a verdict need the pose for more than the road below it?"""
+        """Is the horizontal position tested?"""
         return "position" in self.tests or "joint" in self.tests
 
     @property
@@ -149,8 +149,7 @@ class ConsistencyLimits:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Consistency(Generic[OutcomeT]):
-    """What the tests say of fixes: one outcome each, the words of the tests, and what they rest on; each one number or
-    (n,), a tolerance that is fixed always one.
+    """Outcomes of the tests of fixes, and what they rest on; each one number or (n,), a fixed tolerance always one.
 
     `tolerance_m` is the largest height difference that would agree, `acceptance_radius_m` how far from the pose a fix
     may be and agree in any direction. `position` is the outcome of the horizontal position where it or the joint test
@@ -167,7 +166,7 @@ class Consistency(Generic[OutcomeT]):
 def consistency_of_arrays(
     difference_m: Floats, covariance_m2: Floats, pose_covariance_m2: Floats, limits: ConsistencyLimits
 ) -> Consistency[TestOutcomes]:
-    """What differences (n, 3) say, if those of right fixes have the covariances (n, 3, 3); see `joint_test`.
+    """Test differences (n, 3), if those of right fixes have the covariances (n, 3, 3); see `chi2_test`.
 
     `pose_covariance_m2` (n, 2, 2) is the part of the pose in that.
     """

@@ -1,10 +1,10 @@
-"""Verification (JP7707657B2, second embodiment): what speaks for a fix although the height is against it?
+"""Verification (JP7707657B2, second embodiment): what supports a fix although the height contradicts it?
 
-If the fix is right all the same, it is the height model that is off, map or antenna. There are four witnesses:
+If the fix is right all the same, it is the height model that is off, map or antenna. There are four kinds of evidence:
 
 - **time series**: it has moved since the last right fix as the vehicle has (`time_series.py`);
 - **ambiguity continuity**: its integers are those of fixes that the height has confirmed, on unbroken arcs. Then all
-  of them are right or all are wrong, and the height has had its say on several of them already;
+  of them are right or all are wrong, and the height has tested several of them already;
 - **scan matching**: it is where the sweeps find the vehicle, by centimetres, horizontally;
 - **phase residuals**: its own phases fit its integers, and there are enough of them.
 
@@ -31,7 +31,7 @@ VerificationEvidence = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationRules:
-    """Which witnesses suffice, and when they count.
+    """Which evidence suffices, and when it counts.
 
     A fix whose σ, multipath included, is above `fix_sigma_m` in any direction is not verified and vouches for none.
     `continuity_fixes` of the chain must have been confirmed by the height, the last at most `continuity_s` ago; the
@@ -46,11 +46,11 @@ class VerificationRules:
     phase_ambiguities: int = 10
 
 
-def verified(witnesses: frozenset[Evidence], rules: VerificationRules) -> bool:
-    """Do these suffice?"""
-    if "scan_and_phase" in rules.enough and {"scan_matching", "phase_residuals"} <= witnesses:
+def verified(evidence: frozenset[Evidence], rules: VerificationRules) -> bool:
+    """Does this evidence suffice?"""
+    if "scan_and_phase" in rules.enough and {"scan_matching", "phase_residuals"} <= evidence:
         return True
-    return any(name in rules.enough for name in witnesses)
+    return any(name in rules.enough for name in evidence)
 
 
 def scan_matching_agrees(

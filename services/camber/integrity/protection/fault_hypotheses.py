@@ -107,7 +107,7 @@ class LatentFaultHypothesis:
 class MatchCorroboration:
     """Scan matches that agree with the pose, so far apart that what makes one wrong is gone at the next.
 
-    A witness is a match that is newer than what is suspected, and sharp beside the offset that is suspected.
+    Only a match counts that is newer than the hypothesis, and precise compared with its offset.
     """
 
     def __init__(self, rules: LevelRules) -> None:

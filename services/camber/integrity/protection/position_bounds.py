@@ -1,7 +1,7 @@
 """The bounds of positions: error ellipses of 99 % and 99.9 % and protection levels at an integrity risk.
 
 All are those of the same mixture: the position is right with its covariance, or a wrong fix stands behind it with the
-weight, mean and covariance of each way in which that may be so (`wrong_fix`, `protection_level`). The ellipses have the
+weight, mean and covariance of each way in which that may be so (`fault_hypotheses`). The ellipses have the
 shape of the first part and the size that holds the mixture.
 """
 

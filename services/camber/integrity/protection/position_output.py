@@ -1,7 +1,7 @@
 """The position for consumers at every epoch, its bounds and its usability (Kikuchi (TUMSAT), reliability index).
 
 A confirmed fix before satellite velocities since the last one, before the vehicle's sensors, before a scan match; a
-lower one is taken where its horizontal protection level is clearly smaller. Without any there is a word and a reason.
+lower one is taken where its horizontal protection level is clearly smaller. Without any, its absence has a reason.
 Usable is what has both levels below their alert limits: what is not known is not below.
 """
 
@@ -60,7 +60,7 @@ class PositionOutput:
             self._doppler.add_wheel_speed(time_ns, speed_m_s)
 
     def update_dispute(self, judgement: FixJudgement) -> None:
-        """What has become of a fix, whatever it is: one that the pose contradicts makes the pose doubtful too."""
+        """Update the dispute by a judgement: a fix that the pose contradicts makes the pose doubtful too."""
         self._dispute = updated_dispute(judgement, self._dispute, self._rules.true_sigma)
 
     def forget_future(self, now_ns: int) -> None:

@@ -1,7 +1,7 @@
 """How likely is it that a fix that has passed all tests is wrong all the same? For n fixes at once.
 
 Of the tentative fixes in a street a share is wrong (the prior), of those of few satellites nearly all. A wrong fix's
-error owes nothing to road and pose, so its difference d from them (`joint_test`) is spread widely: a mixture of two
+error owes nothing to road and pose, so its difference d from them (`chi2_test`) is spread widely: a mixture of two
 normal distributions, one of metres, one far off. A right fix's d is N(0, S). By Bayes' theorem, in odds:
 
     wrong : right = trials · prior / (1 − prior) · p(d | wrong) / p(d | right)

@@ -2,8 +2,8 @@
 
 Two ways. *one_by_one* is the document's: estimates from other choices of satellites are judged one after the other,
 until one passes or the limit is reached; the height picks one out of many. *agreement*, the default: first the
-estimates have to agree with one another (`agreement.py`), which no height has a part in; then the one they agree on is
-judged, once, as any fix is. In both ways every estimate that was made is charged to what passes: it has to agree
+estimates have to agree with one another (`subset_agreement.py`), which no height has a part in; then the one they
+agree on is judged, once, as any fix is. In both ways every estimate that was made is charged to what passes: it has to agree
 within limits that may hold back so many times more right fixes, and it is wrong with the probability of so many trials.
 
 Asked is of fixes that were found erroneous and, as set, of epochs whose integers the engine could not resolve with all
@@ -73,7 +73,7 @@ def estimates_request(judgement: FixJudgement, rules: ReEstimationRules) -> Esti
 
 
 def without_estimates(judgement: FixJudgement, why: str) -> FixJudgement:
-    """The judgement as it was, with the word that there is no other estimate."""
+    """The judgement as it was, with the reason why there is no other estimate."""
     return replace(judgement, detail=_joined(judgement.detail, f"no other estimates: {why}"))
 
 

@@ -173,33 +173,18 @@ def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learn
     oldest_m = part.cells[0][1]
     part.cells[0] = (part.cells[0][0], oldest_m - 0.001)
     sure, large = RULES.drift_sigmas + 0.1, RULES.drift_m + 0.001
+
+    def target_m(sigmas, metres, value_m=0.07):
+        result = CommonOffset(value_m=value_m, sigma_m=0.01, used=70, drift_sigmas=sigmas, drift_m=metres)
+        return learnt._target_m(part, result)
+
     for sigmas, metres in ((sure, 0.0), (0.0, large)):
-        assert (
-            learnt._target_m(
-                part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=sigmas, drift_m=metres)
-            )
-            == 0.07
-        )
+        assert target_m(sigmas, metres) == 0.07
         assert part.held_m is None
-    assert (
-        learnt._target_m(
-            part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=sure, drift_m=large)
-        )
-        == oldest_m - 0.001
-    )
+    assert target_m(sure, large) == oldest_m - 0.001
     part.cells.popleft()
-    assert (
-        learnt._target_m(
-            part, CommonOffset(value_m=0.08, sigma_m=0.01, used=70, drift_sigmas=sure, drift_m=large)
-        )
-        == oldest_m - 0.001
-    )
-    assert (
-        learnt._target_m(
-            part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=0.0, drift_m=0.0)
-        )
-        == 0.07
-    )
+    assert target_m(sure, large, value_m=0.08) == oldest_m - 0.001
+    assert target_m(0.0, 0.0) == 0.07
     assert part.held_m is None
 
 

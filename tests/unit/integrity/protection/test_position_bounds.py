@@ -25,20 +25,16 @@ sigma = st.floats(0.01, 3.0)
 SLACK = 1.0 + 5e-4
 
 
+def part(horizontal_m2, up_m2=0.01, weight=1.0, **changes):
+    return MixtureComponent(weight=weight, horizontal_m2=horizontal_m2, up_m2=up_m2, **changes)
+
+
 def normal(s, up=0.05, rho=0.0, ratio=1.0):
-    return ErrorMixture(
-        (
-            MixtureComponent(
-                weight=1.0, horizontal_m2=(s * s, rho * s * s * ratio, (s * ratio) ** 2), up_m2=up * up
-            ),
-        )
-    )
+    return ErrorMixture((part((s * s, rho * s * s * ratio, (s * ratio) ** 2), up * up),))
 
 
 def with_wrong(w, s=0.055, offset=0.3, pose=0.1):
-    wrong = MixtureComponent(
-        weight=w, mean_m=(offset, 0.0, 0.1), horizontal_m2=(pose * pose, 0.0, pose * pose), up_m2=0.05**2
-    )
+    wrong = part((pose * pose, 0.0, pose * pose), 0.05**2, w, mean_m=(offset, 0.0, 0.1))
     return ErrorMixture((replace(normal(s).parts[0], weight=1.0 - w), wrong), w * 1e-8)
 
 
@@ -55,10 +51,10 @@ def outside(bounds, errors, major, minor):
 @pytest.mark.parametrize(("s", "ratio", "rho"), [(0.05, 1.0, 0.0), (0.5, 0.2, 0.6), (2.0, 0.01, -0.5)])
 def test_of_independent_draws_the_ellipses_hold_what_they_promise_and_little_more(s, ratio, rho):
     rng = np.random.default_rng(21)
-    (part,) = normal(s, rho=rho, ratio=ratio).parts
-    ee, en, nn = part.horizontal_m2
+    (right,) = normal(s, rho=rho, ratio=ratio).parts
+    ee, en, nn = right.horizontal_m2
     errors = rng.multivariate_normal([0.0, 0.0], [[ee, en], [en, nn]], 400_000)
-    result = of(ErrorMixture((part,)))
+    result = of(ErrorMixture((right,)))
     assert 0.990 <= 1.0 - outside(result, errors, result.semi_major_99_m, result.semi_minor_99_m) <= 0.995
     assert 0.9990 <= 1.0 - outside(result, errors, result.semi_major_999_m, result.semi_minor_999_m) <= 0.9997
 
@@ -120,20 +116,19 @@ def test_what_no_bound_covers_is_taken_from_the_risk():
     whole = of(normal(0.1), replace(RULES, integrity_risk=0.5e-7))
     part = of(replace(normal(0.1), lost=0.5e-7))
     assert part.horizontal_level_m == pytest.approx(whole.horizontal_level_m)
-    assert of(replace(normal(0.1), lost=1e-7)).horizontal_level_m == math.inf
-    assert of(replace(normal(0.1), lost=1e-7)).vertical_level_m == math.inf
-    assert of(replace(normal(0.1), lost=1e-7)).semi_major_99_m < 1.0
+    spent = of(replace(normal(0.1), lost=1e-7))
+    assert spent.horizontal_level_m == spent.vertical_level_m == math.inf
+    assert spent.semi_major_99_m < 1.0
 
 
 def test_a_height_that_is_not_known_has_no_level_and_takes_nothing_from_the_others():
-    (part,) = normal(0.1).parts
-    result = of(ErrorMixture((replace(part, up_m2=math.inf),)))
+    result = of(normal(0.1, up=math.inf))
     assert result.vertical_level_m == math.inf
     assert result.horizontal_level_m == of(normal(0.1)).horizontal_level_m
 
 
 def test_a_position_that_is_sure_in_one_direction_has_bounds_all_the_same():
-    result = of(ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.04, 0.0, 0.0), up_m2=0.01),)))
+    result = of(ErrorMixture((part((0.04, 0.0, 0.0)),)))
     assert result.horizontal_level_m == pytest.approx(1.03 * 0.2 * 5.327, rel=1e-3)
     assert 0.0 < result.semi_minor_99_m < 1e-3
 
@@ -146,10 +141,9 @@ def test_several_positions_are_bounded_each_by_itself():
 
 
 def test_a_part_split_in_two_is_the_same_part():
-    (part,) = normal(0.1).parts
-    other = MixtureComponent(weight=0.1, mean_m=(0.5, 0.0, 0.0), horizontal_m2=(0.02, 0.0, 0.02), up_m2=1e-4)
-    half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
-    whole, split = ErrorMixture((replace(part, weight=0.9), other)), ErrorMixture((half, other, rest))
+    other = part((0.02, 0.0, 0.02), 1e-4, 0.1, mean_m=(0.5, 0.0, 0.0))
+    all_of_it, half, rest = (replace(*normal(0.1).parts, weight=weight) for weight in (0.9, 0.3, 0.6))
+    whole, split = ErrorMixture((all_of_it, other)), ErrorMixture((half, other, rest))
     assert of(split).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
     assert of(split).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
 
@@ -159,10 +153,8 @@ def test_draws_of_biased_elongated_errors_exceed_the_level_as_often_as_the_risk(
     rules = replace(RULES, integrity_risk=0.01, horizontal_margin=1.0)
     for east_m, north_m in ((0.5, 0.2), (1.0, 1.0), (-0.4, 0.4)):
         errors = rng.multivariate_normal([east_m, north_m], [[0.25, 0.1], [0.1, 0.09]], n)
-        horizontal = MixtureComponent(
-            weight=1.0, mean_m=(east_m, north_m, 0.0), horizontal_m2=(0.25, 0.1, 0.09), up_m2=0.01
-        )
-        share = (np.hypot(*errors.T) > of(ErrorMixture((horizontal,)), rules).horizontal_level_m).mean()
+        biased = ErrorMixture((part((0.25, 0.1, 0.09), mean_m=(east_m, north_m, 0.0)),))
+        share = (np.hypot(*errors.T) > of(biased, rules).horizontal_level_m).mean()
         assert 0.94 * 0.01 <= share <= 0.01 + 4.0 * math.sqrt(0.01 / n)
 
 
@@ -170,17 +162,10 @@ def test_draws_of_biased_elongated_errors_exceed_the_level_as_often_as_the_risk(
     "horizontal_m2", [(-1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (1.0, 2.0, 1.0), (math.nan, 0.0, 1.0)]
 )
 def test_what_is_no_covariance_has_no_bounds_and_is_none_of_a_position_that_is_right(horizontal_m2):
-    result = of(
-        ErrorMixture(
-            (
-                MixtureComponent(weight=0.5, horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.01),
-                MixtureComponent(weight=0.5, horizontal_m2=horizontal_m2, up_m2=0.01),
-            )
-        )
-    )
+    result = of(ErrorMixture((part((0.01, 0.0, 0.01), weight=0.5), part(horizontal_m2, weight=0.5))))
     assert result.horizontal_level_m == result.semi_major_99_m == math.inf, "not beside others"
     with pytest.raises(ValueError, match="is not positive semidefinite"):
-        of(ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=horizontal_m2, up_m2=0.01),)))
+        of(ErrorMixture((part(horizontal_m2),)))
 
 
 @exactly
@@ -197,37 +182,26 @@ def test_a_level_far_beyond_is_seen_without_finding_it():
     assert is_beyond(replace(normal(0.1), lost=1.0), 1e6, RULES)
     assert not is_beyond(normal(0.1), 0.6, RULES)
     assert not is_beyond(normal(0.1), math.inf, RULES)
-    assert not is_beyond(
-        ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.0, 0.0, 0.0), up_m2=1.0),)), 0.0, RULES
-    )
+    assert not is_beyond(ErrorMixture((part((0.0, 0.0, 0.0), 1.0),)), 0.0, RULES)
 
 
 def turned(mixture, angle_rad):
     """The same errors, seen in axes turned the other way round."""
     turn = np.array([[math.cos(angle_rad), -math.sin(angle_rad)], [math.sin(angle_rad), math.cos(angle_rad)]])
     parts = []
-    for part in mixture.parts:
-        (ee, en, nn), (east_m, north_m, up_m) = part.horizontal_m2, part.mean_m
-        covariance = turn @ np.array([[ee, en], [en, nn]]) @ turn.T
-        mean = turn @ [east_m, north_m]
-        parts.append(
-            MixtureComponent(
-                weight=part.weight,
-                mean_m=(float(mean[0]), float(mean[1]), up_m),
-                horizontal_m2=(float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
-                up_m2=part.up_m2,
-            )
-        )
+    for one in mixture.parts:
+        (ee, en, nn), (east_m, north_m, up_m) = one.horizontal_m2, one.mean_m
+        (ee, en), (_, nn) = (turn @ np.array([[ee, en], [en, nn]]) @ turn.T).tolist()
+        mean_m = (*(turn @ [east_m, north_m]).tolist(), up_m)
+        parts.append(replace(one, mean_m=mean_m, horizontal_m2=(ee, en, nn)))
     return ErrorMixture(tuple(parts), mixture.lost)
 
 
 @exactly
 @given(st.floats(-3.0, 3.0), st.floats(0.0, 1.5), st.floats(-1.0, 1.0))
 def test_no_direction_is_special(angle_rad, offset, slant):
-    right = MixtureComponent(weight=0.99, horizontal_m2=(0.04, 0.0, 0.0025), up_m2=0.01)
-    wrong = MixtureComponent(
-        weight=0.01, mean_m=(offset, 0.5 * offset, 0.2), horizontal_m2=(0.09, 0.02 * slant, 0.01), up_m2=0.04
-    )
+    right = part((0.04, 0.0, 0.0025), weight=0.99)
+    wrong = part((0.09, 0.02 * slant, 0.01), 0.04, 0.01, mean_m=(offset, 0.5 * offset, 0.2))
     mixture = ErrorMixture((right, wrong), 1e-9)
     one, other = of(mixture), of(turned(mixture, angle_rad))
     for name in ("semi_major_99_m", "semi_minor_99_m", "semi_major_999_m", "horizontal_level_m"):
@@ -239,7 +213,7 @@ def test_no_direction_is_special(angle_rad, offset, slant):
 
 @pytest.mark.parametrize("angle_rad", [0.5, -0.5, math.pi / 4, -math.pi / 4])
 def test_a_level_far_beyond_is_seen_in_any_direction(angle_rad):
-    narrow = ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(0.25, 0.0, 1e-4), up_m2=0.01),))
+    narrow = ErrorMixture((part((0.25, 0.0, 1e-4)),))
     assert is_beyond(turned(narrow, angle_rad), 2.4, RULES)
     assert not is_beyond(turned(narrow, angle_rad), 3.0, RULES)
 
@@ -253,69 +227,58 @@ def at(k):
     return START_NS + round(k * 1e8)
 
 
+BY_RISK = of(normal(1.0))
+
+
+def by_index(index, source, k, known=True):
+    return index.bounds(source, at(k), BY_RISK, known=known)
+
+
 def test_r_s_levels_grow_by_a_sigma_each_tenth_of_a_second():
-    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    rtk = index.bounds("rtk", at(0), risk_bounds, known=True)
+    index = ReliabilityIndex(IndexRules())
+    rtk = by_index(index, "rtk", 0)
     assert rtk.horizontal_level_m == pytest.approx(A99 * 0.025, rel=1e-4)
     assert rtk.vertical_level_m == pytest.approx(2.5758 * 0.025, rel=1e-4)
     index.keep(at(0), rtk)
-    doppler = index.bounds("doppler", at(10), risk_bounds, known=True)
+    doppler = by_index(index, "doppler", 10)
     assert doppler.horizontal_level_m == pytest.approx(A99 * (0.025 + 10 * 0.02), rel=1e-4)
     index.keep(at(10), doppler)
-    sensors = index.bounds("sensors", at(11), risk_bounds, known=True)
+    sensors = by_index(index, "sensors", 11)
     assert sensors.horizontal_level_m == pytest.approx(A99 * (0.025 + 10 * 0.02 + 0.03), rel=1e-4)
-    assert sensors.semi_major_99_m == risk_bounds.semi_major_99_m
-    assert index.bounds("sensors", at(11), risk_bounds, known=False).vertical_level_m == math.inf
-    assert (
-        index.bounds("sensors", at(9), risk_bounds, known=True).horizontal_level_m
-        == doppler.horizontal_level_m
-    )
+    assert sensors.semi_major_99_m == BY_RISK.semi_major_99_m
+    assert by_index(index, "sensors", 11, known=False).vertical_level_m == math.inf
+    assert by_index(index, "sensors", 9).horizontal_level_m == doppler.horizontal_level_m
 
 
 def test_before_any_fix_and_of_a_match_the_level_is_the_ellipse():
-    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    assert (
-        index.bounds("sensors", at(0), risk_bounds, known=True).horizontal_level_m
-        == risk_bounds.semi_major_99_m
-    )
-    assert (
-        index.bounds("scan_match", at(0), risk_bounds, known=True).horizontal_level_m
-        == risk_bounds.semi_major_99_m
-    )
-    index.keep(at(0), index.bounds("rtk", at(0), risk_bounds, known=True))
-    assert (
-        index.bounds("scan_match", at(1), risk_bounds, known=True).horizontal_level_m
-        == risk_bounds.semi_major_99_m
-    )
+    index = ReliabilityIndex(IndexRules())
+    for source in ("sensors", "scan_match"):
+        assert by_index(index, source, 0).horizontal_level_m == BY_RISK.semi_major_99_m
+    index.keep(at(0), by_index(index, "rtk", 0))
+    assert by_index(index, "scan_match", 1).horizontal_level_m == BY_RISK.semi_major_99_m
 
 
 def test_of_two_positions_of_one_time_the_levels_go_on_from_the_later():
-    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    rtk = index.bounds("rtk", at(0), risk_bounds, known=True)
-    index.keep(at(0), risk_bounds)
+    index = ReliabilityIndex(IndexRules())
+    rtk = by_index(index, "rtk", 0)
+    index.keep(at(0), BY_RISK)
     index.keep(at(0), rtk)
-    assert (
-        index.bounds("doppler", at(0), risk_bounds, known=True).horizontal_level_m == rtk.horizontal_level_m
-    )
+    assert by_index(index, "doppler", 0).horizontal_level_m == rtk.horizontal_level_m
 
 
 def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_forgotten():
-    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    index.keep(at(10), index.bounds("rtk", at(10), risk_bounds, known=True))
-    index.keep(at(5), risk_bounds)
-    near = index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m
+    index = ReliabilityIndex(IndexRules())
+    index.keep(at(10), by_index(index, "rtk", 10))
+    index.keep(at(5), BY_RISK)
+    near = by_index(index, "doppler", 11).horizontal_level_m
     assert near == pytest.approx(A99 * 0.045, rel=1e-4)
     index.forget_future(at(10))
-    assert index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m == near
+    assert by_index(index, "doppler", 11).horizontal_level_m == near
     index.forget_future(at(9))
-    assert (
-        index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m
-        == risk_bounds.semi_major_99_m
-    )
+    assert by_index(index, "doppler", 11).horizontal_level_m == BY_RISK.semi_major_99_m
 
 
 def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():
-    sure = MixtureComponent(weight=0.5, horizontal_m2=(0.0, 0.0, 0.0), up_m2=0.0)
-    wide = MixtureComponent(weight=0.5, horizontal_m2=(1.0, 0.0, 1.0), up_m2=0.0)
+    sure, wide = part((0.0, 0.0, 0.0), 0.0, 0.5), part((1.0, 0.0, 1.0), 0.0, 0.5)
     assert is_beyond(ErrorMixture((sure, wide)), 1.0, RULES)
     assert not is_beyond(ErrorMixture((sure, sure)), 1.0, RULES)
