@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 FloatOrArray: TypeAlias = Any
-"""A float or an array of them, all (n,); outcomes and booleans too. Types of numpy cannot say that both give the same."""
+"""A float or an array of them, all (n,); outcomes and booleans too. numpy's types cannot say that both agree."""
 
 
 def functions_of(value: FloatOrArray) -> ModuleType:

@@ -3,8 +3,9 @@
 Two ways. *one_by_one* is the document's: estimates from other choices of satellites are judged one after the other,
 until one passes or the limit is reached; the height picks one out of many. *agreement*, the default: first the
 estimates have to agree with one another (`subset_agreement.py`), which no height has a part in; then the one they
-agree on is judged, once, as any fix is. In both ways every estimate that was made is charged to what passes: it has to agree
-within limits that may hold back so many times more right fixes, and it is wrong with the probability of so many trials.
+agree on is judged, once, as any fix is. In both ways every estimate that was made is charged to what passes: it has to
+agree within limits that may hold back so many times more right fixes, and it is wrong with the probability of so many
+trials.
 
 Asked is of fixes that were found erroneous and, as set, of epochs whose integers the engine could not resolve with all
 satellites: a part of them may do. gnss that does not answer leaves the verdict as it was.
