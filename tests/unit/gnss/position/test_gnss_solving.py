@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from random import Random
@@ -28,8 +27,6 @@ from camber.gnss.position.rtk_engine import EngineWarning
 from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.runtime.bus import Bus
-from camber.schemas.base import Message
-from camber.schemas.codec import encode
 from camber.schemas.gnss import (
     EstimatesRequest,
     Fix,
@@ -39,6 +36,7 @@ from camber.schemas.gnss import (
     SatelliteVelocity,
 )
 from camber.schemas.motion import Motion
+from support.gnss_bus import GnssBus
 from support.raw_drive import RawDrive
 
 NS = 1_000_000_000
@@ -46,41 +44,6 @@ RIGHT_M = 0.05
 EPOCHS = 12
 Sent = tuple[str, str, bytes]
 Tick = Callable[[int], Iterable[Sent]]
-
-
-class FakeBus:
-    def __init__(self) -> None:
-        self.time_ns = 0
-        self.published: list[Message] = []
-        self.issues: list[tuple[str, str]] = []
-        self.counters: Counter[str] = Counter()
-
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def publish(self, name: str, message: Message) -> None:
-        encode(message)
-        self.published.append(message)
-
-    def issue(self, code: str, text: str) -> None:
-        self.issues.append((code, text))
-
-    def count(self, name: str, n: int = 1) -> None:
-        self.counters[name] += n
-
-    def wake(self) -> None:
-        pass
-
-    @property
-    def fixes(self) -> list[Fix]:
-        return [message for message in self.published if isinstance(message, Fix)]
-
-    def named(self) -> dict[str, str]:
-        """Last text by code."""
-        return dict(self.issues)
-
-    def qualities(self) -> list[str]:
-        return [fix.quality for fix in self.fixes]
 
 
 class Run:
@@ -95,7 +58,7 @@ class Run:
         delay_ns: int = 50_000_000,
         **settings: Any,
     ) -> None:
-        self.bus = FakeBus()
+        self.bus = GnssBus()
         self.bus.time_ns = drive.times_ns[0] - NS
         self.service = GnssService(GnssSettings(positions="engine", **settings), cast(Bus, self.bus))
         self.drive = drive
@@ -526,7 +489,7 @@ def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive
 def test_a_receivers_positions_come_from_the_same_stream_and_nothing_is_solved(
     protocol: Any, raw_drive: RawDrive
 ) -> None:
-    bus = FakeBus()
+    bus = GnssBus()
     service = GnssService(GnssSettings(), cast(Bus, bus))
     assert service.handlers().keys() == {"receiver_bytes"}
     for k in range(EPOCHS):
