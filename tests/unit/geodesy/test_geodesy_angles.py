@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.geodesy.angles import (
-    angle_difference,
-    heading_from_yaw,
-    wrap_pi,
-    wrap_pi_array,
-    wrap_two_pi,
-)
+from camber.geodesy.angles import angle_difference, heading_from_yaw, wrap_pi, wrap_pi_array, wrap_two_pi
 
 angles = st.floats(-1000.0, 1000.0)
 

@@ -33,7 +33,7 @@ START_NS = gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 30))
 PATIENCE_S = 20.0
 
 
-def epochs(bus: GnssBus) -> list[int]:
+def tenths_of(bus: GnssBus) -> list[int]:
     """Tenths of seconds since the start."""
     return [(fix.time_ns - START_NS) * 10 // NS for fix in bus.fixes]
 
@@ -80,7 +80,7 @@ def nmea(*tenths: int, date_sentence: bool = True, **changed: Any) -> bytes:
 def test_a_pos_stream_becomes_fixes() -> None:
     service, bus = make(datum="JGD2011")
     receive(service, pos(0, 1, 2))
-    assert epochs(bus) == [0, 1, 2]
+    assert tenths_of(bus) == [0, 1, 2]
     assert bus.issues == []
     fix = bus.fixes[1]
     assert (fix.quality, fix.origin, fix.datum, fix.satellites, fix.ratio) == (
@@ -97,7 +97,7 @@ def test_a_pos_stream_becomes_fixes() -> None:
 def test_an_nmea_stream_becomes_fixes_above_the_ellipsoid() -> None:
     service, bus = make()
     receive(service, nmea(*range(10)), "nmea")
-    assert epochs(bus) == list(range(10))
+    assert tenths_of(bus) == list(range(10))
     assert bus.issues == []
     assert [fix.height_m for fix in bus.fixes] == pytest.approx([40.0 + n / 100 for n in range(10)], abs=1e-3)
     assert all(fix.covariance_enu_m2 is not None for fix in bus.fixes)
@@ -110,7 +110,7 @@ def test_an_nmea_stream_without_a_date_needs_one_in_the_settings() -> None:
     assert set(bus.counted()) == {"unreadable_input"}
     service, bus = make(nmea_date=date(2023, 7, 11))
     receive(service, nmea(0, 1, 2, 3, date_sentence=False), "nmea")
-    assert epochs(bus)[:3] == [0, 1, 2]
+    assert tenths_of(bus)[:3] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("protocol", ["pos", "nmea"])
@@ -137,7 +137,7 @@ def test_garbage_costs_itself_only(protocol: str) -> None:
         garbage = bytes(random.randrange(256) for _ in range(random.randint(0, 3000)))
         service, bus = make()
         receive(service, begin + b"\n" + garbage + b"\r\n" + end, protocol)
-        assert epochs(bus) == [0, 1, 2, 3]
+        assert tenths_of(bus) == [0, 1, 2, 3]
         assert set(bus.counted()) <= {"unreadable_input", "damaged_input"}
 
 
@@ -152,7 +152,7 @@ def test_a_line_that_cannot_be_read_is_named() -> None:
 def test_every_epoch_passes_once_and_in_order() -> None:
     service, bus = make()
     receive(service, pos(5, 5, 3, 6))
-    assert epochs(bus) == [5, 6]
+    assert tenths_of(bus) == [5, 6]
     assert bus.counted() == {"repeated_epoch": 1, "out_of_order_epoch": 1}
 
 
@@ -163,7 +163,7 @@ def test_a_fix_of_another_century_stops_nothing(year: int, code: str) -> None:
     receive(service, pos(0))
     receive(service, pos(0, header=False, time_ns=century))
     receive(service, pos(1, header=False))
-    assert epochs(bus) == [0, 1]
+    assert tenths_of(bus) == [0, 1]
     assert bus.counted() == {code: 1}
 
 
@@ -171,7 +171,7 @@ def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:
     service, bus = make()
     bus.time_ns = START_NS
     receive(service, pos(5, 6))
-    assert epochs(bus) == [5]
+    assert tenths_of(bus) == [5]
     assert bus.counted() == {"epoch_from_the_future": 1}
 
 
@@ -179,7 +179,7 @@ def test_a_receiver_that_began_in_the_past_is_followed_once_it_knows_the_time() 
     service, bus = make()
     rolled_over = START_NS - 1024 * 7 * 86_400 * NS
     receive(service, pos(0, time_ns=rolled_over) + pos(0, 1, header=False))
-    assert epochs(bus)[1:] == [0, 1]
+    assert tenths_of(bus)[1:] == [0, 1]
     assert bus.issues == []
 
 
@@ -188,7 +188,7 @@ def test_an_epoch_before_any_plausible_time_is_refused_and_the_next_one_passes()
     receive(
         service, pos(0, time_ns=gps_ns_from_utc(CalendarTime(1999, 8, 22, 0, 0, 0))) + pos(0, header=False)
     )
-    assert epochs(bus) == [0]
+    assert tenths_of(bus) == [0]
     assert bus.counted() == {"implausible_epoch": 1}
     assert bus.issues[0][1].startswith("time_ns: ")
 
@@ -250,8 +250,8 @@ def test_it_is_healthy_while_epochs_come() -> None:
 
 def until(service: GnssService, bus: GnssBus, epochs: list[int]) -> None:
     deadline = time.monotonic() + PATIENCE_S
-    while epochs(bus) != epochs:
-        assert time.monotonic() < deadline, (epochs(bus), bus.issues)
+    while tenths_of(bus) != epochs:
+        assert time.monotonic() < deadline, (tenths_of(bus), bus.issues)
         time.sleep(0.005)
         service.advance(bus.now_ns())
 

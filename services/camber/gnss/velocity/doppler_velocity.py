@@ -30,13 +30,7 @@ from camber.gnss.observations.satellite_states import (
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import (
-    CARRIER_HZ,
-    MOST_BANDS,
-    Booleans,
-    SignalColumns,
-    columns_of,
-)
+from camber.gnss.observations.signal_pairs import CARRIER_HZ, MOST_BANDS, Booleans, SignalColumns, columns_of
 from camber.gnss.position.robust_least_squares import (
     INCONSISTENT,
     OK,

@@ -131,10 +131,7 @@ def test_navigation_files_come_one_after_another_with_the_last_record_and_the_io
     # The last record is whole when another file begins, or nothing follows.
     assert [
         len([1 for _, what in received if isinstance(what, Ephemeris)]) for received in (second, third)
-    ] == [
-        count + 1,
-        1,
-    ]
+    ] == [count + 1, 1]
     coefficients = [what for _, what in first if isinstance(what, IonosphereCoefficients)]
     assert coefficients[-1].system == "G"
     assert coefficients[-1].alpha != (0.0, 0.0, 0.0, 0.0)
