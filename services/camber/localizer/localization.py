@@ -84,17 +84,11 @@ class Localization:
         self._plane: LocalPlane | None = None
         self._links = LinkCache(options.links_radius_m, map_queries, diagnostics)
         self._road = RoadBelowAntenna(options.road_sigma_limit_m, map_queries, diagnostics)
-        self._matcher = (
-            None
-            if options.matching is None
-            else ScanMatcher(options.matching, self._filter, map_queries, diagnostics)
-        )
-        self._published_ns = 0
-
-    @property
-    def matcher(self) -> ScanMatcher | None:
+        self.matcher: ScanMatcher | None = None
         """The scan matcher, for pictures of its matches; None where sweeps are not used."""
-        return self._matcher
+        if options.matching is not None:
+            self.matcher = ScanMatcher(options.matching, self._filter, map_queries, diagnostics)
+        self._published_ns = 0
 
     @property
     def has_pose(self) -> bool:
@@ -116,8 +110,8 @@ class Localization:
         if outcome in ("repeated", "backwards"):
             self._diagnostics.issue(f"motion_{outcome}", f"sample at {motion.time_ns} ns")
             return False
-        if self._matcher is not None:
-            self._matcher.set_attitude(motion.roll_rad, motion.pitch_rad)
+        if self.matcher is not None:
+            self.matcher.set_attitude(motion.roll_rad, motion.pitch_rad)
         given, self._given = self._given, None
         if given is not None:
             self._start_from_given(given, motion.time_ns)
@@ -153,26 +147,24 @@ class Localization:
             return
         plane = self._plane_for(verdict.latitude_rad, verdict.longitude_rad)
         east_m, north_m = plane.east_north(verdict.latitude_rad, verdict.longitude_rad)
-        tilt_east_m, tilt_north_m = self._antenna_shift_by_tilt(verdict.time_ns)
-        result = self._filter.anchor(
-            verdict.time_ns, east_m - tilt_east_m, north_m - tilt_north_m, covariance
-        )
+        tilt_m = self._antenna_shift_by_tilt(verdict.time_ns)
+        result = self._filter.anchor(verdict.time_ns, east_m - tilt_m[0], north_m - tilt_m[1], covariance)
         if result.outcome == "recovered":
             self._on_jump()
         self._diagnostics.count(f"anchor.{result.outcome}")
 
     def on_sweep(self, sweep: Sweep) -> None:
         """Queue a sweep; it is matched once the motion up to its end is known."""
-        if self._matcher is not None:
-            self._matcher.add_sweep(sweep)
+        if self.matcher is not None:
+            self.matcher.add_sweep(sweep)
 
     # Output
 
     def advance(self) -> LocalizationOutput:
         """Match the sweeps that are ready; return the matches, and the pose of the newest motion sample, once."""
         matches: tuple[ScanMatch, ...] = ()
-        if self._matcher is not None and self._filter.time_ns is not None:
-            output = self._matcher.process(self._plane, self._road.last)
+        if self.matcher is not None and self._filter.time_ns is not None:
+            output = self.matcher.process(self._plane, self._road.last)
             matches = output.matches
             if output.jumped:
                 self._on_jump()
@@ -197,8 +189,8 @@ class Localization:
         latitude_rad, longitude_rad = plane.geodetic(estimate.east_m + east_m, estimate.north_m + north_m)
         road = self._road.update(estimate, latitude_rad, longitude_rad)
         self._links.note_map_version(road.map_version)
-        if self._matcher is not None:
-            self._matcher.note_map_version(road.map_version)
+        if self.matcher is not None:
+            self.matcher.note_map_version(road.map_version)
         return Pose(
             time_ns=estimate.time_ns,
             mode=estimate.mode,
@@ -207,7 +199,7 @@ class Localization:
             latitude_rad=latitude_rad,
             longitude_rad=longitude_rad,
             yaw_rad=yaw_rad if estimate.yaw_known else None,
-            covariance_east_north_yaw=_upper_triangle(covariance),
+            covariance_east_north_yaw=tuple(covariance[np.triu_indices(3)].tolist()),
             roll_rad=roll_rad,
             pitch_rad=pitch_rad,
             speed_m_s=estimate.speed_m_s,
@@ -231,14 +223,14 @@ class Localization:
             yield "no speed"
         if estimate.rotation_age_s is None or estimate.rotation_age_s > 0.0:
             yield "no rotation"
-        if self._matcher is not None and self._matcher.reason:
-            yield self._matcher.reason
+        if self.matcher is not None and self.matcher.reason:
+            yield self.matcher.reason
 
     # Attitude and covariance
 
     def _attitude(self, time_ns: int, yaw_rad: float) -> tuple[float, float]:
         """Return roll and pitch by a recent match, else by the road's slope."""
-        matched = None if self._matcher is None else self._matcher.attitude(time_ns)
+        matched = None if self.matcher is None else self.matcher.attitude(time_ns)
         return attitude_on_road(self._road.last, yaw_rad) if matched is None else matched
 
     def _antenna_shift_by_tilt(self, time_ns: int) -> tuple[float, float]:
@@ -277,16 +269,15 @@ class Localization:
     def _on_jump(self) -> None:
         self._links.restart()
         self._road.forget()
-        if self._matcher is not None:
-            self._matcher.reset_road_height()
+        if self.matcher is not None:
+            self.matcher.reset_road_height()
 
     def _plane_for(self, latitude_rad: float, longitude_rad: float) -> LocalPlane:
         """Return the plane; a new one where there is no pose in it yet: a first fix may have been anywhere."""
-        if self._plane is None or (
-            self._filter.mode == "none" and not self._plane.covers(latitude_rad, longitude_rad)
-        ):
-            return self._set_plane(LocalPlane(latitude_rad, longitude_rad))
-        return self._plane
+        plane = self._plane
+        if plane is not None and (self._filter.mode != "none" or plane.covers(latitude_rad, longitude_rad)):
+            return plane
+        return self._set_plane(LocalPlane(latitude_rad, longitude_rad))
 
     def _set_plane(self, plane: LocalPlane) -> LocalPlane:
         self._plane = plane
@@ -323,12 +314,6 @@ class Localization:
                 provenance="given",
             )
         )
-
-
-def _upper_triangle(covariance: Floats) -> tuple[float, float, float, float, float, float]:
-    """Return (ee, en, eψ, nn, nψ, ψψ)."""
-    c = covariance
-    return float(c[0, 0]), float(c[0, 1]), float(c[0, 2]), float(c[1, 1]), float(c[1, 2]), float(c[2, 2])
 
 
 def _time_before(time_ns: int, age_s: float | None) -> int | None:

@@ -36,7 +36,9 @@ def test_the_pose_is_within_centimetres_and_its_ellipse_holds(with_lidar):
 
 
 def test_no_converged_match_is_wrong(with_lidar):
-    converged = with_lidar.matches.where(np.array([word == "converged" for word in with_lidar.matches.word]))
+    converged = with_lidar.matches.where(
+        np.array([status == "converged" for status in with_lidar.matches.word])
+    )
     assert len(converged.off) >= 60
     assert converged.horizontal_m.max() < 0.3
     assert np.mean(converged.squared <= 9.21) >= 0.95
@@ -48,7 +50,7 @@ def test_the_road_is_never_another_one(with_lidar):
 
 def test_matches_from_half_a_metre_off_claim_what_they_are_worth(drive):
     alone = matched_alone(drive, every=5)
-    converged = alone.where(np.array([word == "converged" for word in alone.word]))
+    converged = alone.where(np.array([status == "converged" for status in alone.word]))
     assert len(converged.off) >= 10
     assert np.quantile(converged.horizontal_m, 0.5) < 0.05
     assert converged.horizontal_m.max() < 0.3

@@ -155,12 +155,12 @@ def fix_at(tenth: int, east_m: float, north_m: float = 0.0, **changed: Any) -> F
     return Fix(**values | changed)
 
 
-def verdict_at(tenth: int, word: Any, east_m: float, north_m: float = 0.0, **changed: Any) -> Verdict:
+def verdict_at(tenth: int, value: Any, east_m: float, north_m: float = 0.0, **changed: Any) -> Verdict:
     latitude, longitude = at(east_m, north_m)
     values: dict[str, Any] = {
         "time_ns": START_NS + tenth * NS // 10,
         "fix_id": tenth,
-        "verdict": word,
+        "verdict": value,
         "reason": "none",
         "latitude_rad": latitude,
         "longitude_rad": longitude,
@@ -322,11 +322,11 @@ def test_a_wild_fix_before_a_given_pose_moves_nothing() -> None:
 # Anchors
 
 
-@pytest.mark.parametrize("word", ["confirmed", "confirmed_after_verification"])
-def test_a_confirmed_position_anchors_the_pose(word: str) -> None:
+@pytest.mark.parametrize("value", ["confirmed", "confirmed_after_verification"])
+def test_a_confirmed_position_anchors_the_pose(value: str) -> None:
     drive = Drive(initial_pose=GIVEN)
     drive.run(20)
-    anchor = verdict_at(drive.tenth, word, drive.east_m)
+    anchor = verdict_at(drive.tenth, value, drive.east_m)
     pose = drive.step(anchor)
     assert (pose.mode, pose.provenance, pose.anchor_time_ns) == ("anchored", "confirmed", anchor.time_ns)
     covariance = pose.covariance_east_north_yaw
@@ -334,12 +334,12 @@ def test_a_confirmed_position_anchors_the_pose(word: str) -> None:
     assert drive.bus.counters["anchor.accepted"] == 1
 
 
-@pytest.mark.parametrize("word", sorted(VERDICTS_WITHOUT_TRUST))
-def test_no_other_verdict_ever_anchors(word: str) -> None:
+@pytest.mark.parametrize("value", sorted(VERDICTS_WITHOUT_TRUST))
+def test_no_other_verdict_ever_anchors(value: str) -> None:
     plain, disturbed = Drive(initial_pose=GIVEN), Drive(initial_pose=GIVEN)
     for tenth in range(60):
         plain.step()
-        disturbed.step(verdict_at(tenth, word, tenth + 3.0))
+        disturbed.step(verdict_at(tenth, value, tenth + 3.0))
     assert bytes_of(plain.bus.poses) == bytes_of(disturbed.bus.poses)
     assert not any(name.startswith("anchor") for name in disturbed.bus.counters)
 
@@ -461,7 +461,7 @@ def test_without_an_answer_the_road_is_unknown_and_the_reason_is_reported(failur
     assert drive.run(1).road.status == "known"
 
 
-def test_what_the_map_does_not_know_is_passed_on() -> None:
+def test_an_unknown_road_of_the_map_is_passed_on() -> None:
     drive = Drive(initial_pose=GIVEN)
     drive.map.road = Road(status="unknown", reason="levels_ambiguous")
     assert drive.run(3).road == drive.map.road
@@ -520,7 +520,7 @@ def test_a_certain_pose_asks_for_its_road_every_two_seconds(speed_m_s: float) ->
     assert 100 / 25 <= drive.map.count(ElevationRequest) <= 100 / 12
 
 
-def test_what_has_become_of_the_road_is_learnt_within_two_seconds() -> None:
+def test_a_change_of_the_road_is_seen_within_two_seconds() -> None:
     drive = certain(0.0)
     drive.run(10)
     drive.map.road = Road(status="unknown", reason="map_stale")
@@ -566,7 +566,7 @@ def test_links_are_fetched_again_when_the_map_has_changed() -> None:
 
 
 @pytest.mark.parametrize("failure", ["absent", "timeout"])
-def test_links_that_could_not_be_had_are_asked_for_once_a_second(failure: str) -> None:
+def test_failed_link_queries_are_repeated_once_a_second(failure: str) -> None:
     drive = Drive(initial_pose=GIVEN)
     drive.map.failure = failure
     pose = drive.run(41)
@@ -577,7 +577,7 @@ def test_links_that_could_not_be_had_are_asked_for_once_a_second(failure: str) -
     assert drive.run(60).link_id is not None
 
 
-def test_links_that_are_none_are_an_issue_and_not_a_fault() -> None:
+def test_degenerate_links_are_an_issue_and_not_a_failure() -> None:
     drive = Drive(initial_pose=GIVEN)
     drive.map.broken_link = True
     pose = drive.run(20)
@@ -653,6 +653,6 @@ def test_the_same_drive_gives_the_same_bytes() -> None:
     assert runs[0] == runs[1]
 
 
-def test_it_listens_to_what_it_should() -> None:
+def test_inputs_are_motion_fix_verdict_and_sweep() -> None:
     assert SERVICE is LocalizerService
     assert set(Drive().handlers) == {"motion", "fix", "verdict", "sweep"}

@@ -35,6 +35,9 @@ class _DirectedLink(NamedTuple):
     link: int
     forward: bool
 
+    def reversed(self) -> _DirectedLink:
+        return _DirectedLink(self.link, not self.forward)
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RoadLink:
@@ -164,21 +167,18 @@ class LinkNetwork:
             a, b = b, a
         return math.atan2(b[1] - a[1], b[0] - a[0])
 
-    def _node(self, key: _DirectedLink, *, far: bool) -> LinkId:
-        link = self.links[key.link]
-        return link.end_node if key.forward == far else link.start_node
-
     def successors(self, key: _DirectedLink) -> list[_DirectedLink]:
         """Return the (link, direction) that may follow over the node at the far end."""
-        return [k for k in self._at_node[self._node(key, far=True)] if k.link != key.link and self.allowed(k)]
+        link = self.links[key.link]
+        node = link.end_node if key.forward else link.start_node
+        return [k for k in self._at_node[node] if k.link != key.link and self.allowed(k)]
 
     def predecessors(self, key: _DirectedLink) -> list[_DirectedLink]:
         """Return the (link, direction) that may precede over the node at the near end."""
-        return [
-            _DirectedLink(k.link, not k.forward)
-            for k in self._at_node[self._node(key, far=False)]
-            if k.link != key.link and self.allowed(_DirectedLink(k.link, not k.forward))
-        ]
+        link = self.links[key.link]
+        node = link.start_node if key.forward else link.end_node
+        before = (k.reversed() for k in self._at_node[node] if k.link != key.link)
+        return [k for k in before if self.allowed(k)]
 
     def allowed(self, key: _DirectedLink) -> bool:
         """Whether traffic may use the link in this direction."""
@@ -326,7 +326,7 @@ class LinkMatcher:
                 prior[key] = weight
 
         for key, weight in self._weights.items():
-            offer(_DirectedLink(key.link, not key.forward), weight - model.u_turn_penalty)
+            offer(key.reversed(), weight - model.u_turn_penalty)
             for k in self._network.successors(key):
                 offer(k, weight)
             for k in self._network.predecessors(key):

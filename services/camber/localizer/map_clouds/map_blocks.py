@@ -237,22 +237,19 @@ class MapBlockStore:
             self.reason = f"{len(waiting)} of {len(keys)} tiles have not been loaded"
             return None
         missing = [key for key in keys if self._tiles[key] is None]
-        reasons = "; ".join(
-            dict.fromkeys(self._missing_reasons[key] for key in missing if self._missing_reasons[key])
-        )
-        base_height_m = next(
-            (tile.base_height_m for key in keys if (tile := self._tiles[key]) is not None), None
-        )
-        if base_height_m is None:
-            self.reason = (
-                f"the map has no clouds here ({reasons})" if reasons else "the map has no clouds here"
-            )
+        reasons = dict.fromkeys(self._missing_reasons[key] for key in missing if self._missing_reasons[key])
+        why = f" ({'; '.join(reasons)})" if reasons else ""
+        stored = [tile for key in keys if (tile := self._tiles[key]) is not None]
+        if not stored:
+            self.reason = f"the map has no clouds here{why}"
             return None
-        frame, half_m = _block_frame(number, base_height_m)
+        base_height_m = stored[0].base_height_m
+        latitude_rad, longitude_rad, *half_m = _centre(number)
+        frame = LocalFrame(latitude_rad, longitude_rad, base_height_m)
         clouds = []
         for layer in CLOUD_LAYERS:
             parts = [
-                _points_in_block(tile, tile_frame(x, y), frame, half_m)
+                _points_in_block(tile, tile_frame(x, y), frame, (half_m[0], half_m[1]))
                 for x, y in tiles
                 if (tile := self._tiles[layer, x, y]) is not None
             ]
@@ -262,9 +259,7 @@ class MapBlockStore:
         environment, road = clouds
         if not len(environment) or not len(road):
             what = "road" if len(environment) else "environment"
-            self.reason = (
-                f"the map has no {what} cloud here ({reasons})" if reasons else f"no {what} cloud here"
-            )
+            self.reason = f"the map has no {what} cloud here{why}" if reasons else f"no {what} cloud here"
             return None
         self.reason = ""
         heights = RoadHeights.of(road)
@@ -283,22 +278,13 @@ class MapBlockStore:
 def _stored(tile: CloudTile, voxel_m: float) -> _StoredTile:
     """Return the tile thinned, square by square: at once, a dense tile would need 150 MB."""
     order, begin = _by_square(tile.quanta, tile.resolution_m, voxel_m * _SQUARE_VOXELS)
-    squares = [
-        _to_steps(
-            voxel_means(
-                np.multiply(tile.quanta[order[first:end]], tile.resolution_m, dtype=np.float64), voxel_m
-            )
-        )
-        for first, end in pairwise(begin.tolist())
-        if first < end
-    ]
-    points = np.concatenate(squares) if squares else np.zeros((0, 3), np.int16)
-    return _StoredTile(points, tile.base_height_m)
-
-
-def _to_steps(points_m: Floats) -> NDArray[np.int16]:
-    steps = np.rint(points_m / _STEP_M)
-    return steps[(np.abs(steps) <= _MAX_STEPS).all(axis=1)].astype(np.int16)
+    squares = [np.zeros((0, 3), np.int16)]
+    for first, end in pairwise(begin.tolist()):
+        if first < end:
+            points_m = np.multiply(tile.quanta[order[first:end]], tile.resolution_m, dtype=np.float64)
+            steps = np.rint(voxel_means(points_m, voxel_m) / _STEP_M)
+            squares.append(steps[(np.abs(steps) <= _MAX_STEPS).all(axis=1)].astype(np.int16))
+    return _StoredTile(np.concatenate(squares), tile.base_height_m)
 
 
 @compiled_without_gil
@@ -390,11 +376,6 @@ def _centre(number: tuple[int, int]) -> tuple[float, float, float, float]:
     half_north = 0.5 * (north - south) * _EARTH_RADIUS_M + MARGIN_M
     half_east = math.pi / around * _EARTH_RADIUS_M * math.cos(min(abs(north), abs(south))) + MARGIN_M
     return middle, 2.0 * math.pi * (number[0] + 0.5) / around - math.pi, half_east, half_north
-
-
-def _block_frame(number: tuple[int, int], base_height_m: float) -> tuple[LocalFrame, tuple[float, float]]:
-    latitude, longitude, half_east, half_north = _centre(number)
-    return LocalFrame(latitude, longitude, base_height_m), (half_east, half_north)
 
 
 def _tiles_of(number: tuple[int, int]) -> list[Tile]:

@@ -37,9 +37,7 @@ _BLUR_M: Final = 0.5
 # Chosen: they bound the time of a search.
 _POINTS_PER_LAYER: Final = 400
 _CANDIDATES: Final = 6
-_RIVAL_RATIO: Final = (
-    0.7  # chosen: a candidate with less of the best score does not fit as well after refinement
-)
+_RIVAL_RATIO: Final = 0.7  # chosen: with less of the best score a candidate does not fit as well when refined
 # Chosen: candidates nearer than these are one.
 _APART_M: Final = 1.0
 _APART_RAD: Final = math.radians(4.0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ from camber.localizer.matching.layered_matching import (
     match_layers,
 )
 from camber.localizer.matching.local_map import LEVEL, LocalMap
+from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M
 from camber.localizer.matching.match_view import MatchView, match_view
 from camber.localizer.matching.scan_match_message import scan_match_message
 from camber.localizer.matching.shift_profile import log_likelihoods, shift_profile
@@ -66,14 +68,11 @@ _ATTITUDE_VALID_NS: Final = 300_000_000  # chosen: three sweeps of a LiDAR at 10
 _SEARCH_PAUSE_NS: Final = 1_000_000_000  # chosen: a search costs several matches
 _SEARCH_AFTER: Final = 3  # chosen: consecutive matches that were lost or rejected
 _MIRRORED_AFTER: Final = 50  # chosen: consecutive failures between two tests for a mirrored sensor
-_MISPLACED_AFTER: Final = (
-    10  # chosen: consecutive sweeps; a crest or a kerb makes a single one look misplaced
-)
+_MISPLACED_AFTER: Final = 10  # chosen: consecutive sweeps; a crest or a kerb makes one look misplaced
 _SIGMAS: Final = 3.0  # chosen: 99.7 % of a normal error
 _AHEAD_S: Final = 3.0  # chosen: a block is built in less time
 STRUCTURE_M: Final = (0.3, 3.0)
 """Chosen: heights between which the local map is compared with the static structure: the bounds of the layers."""
-_DEGENERATE_SIGMA_M: Final = 0.5  # as `match_covariance.DEGENERATE_SIGMA_M`
 # Chosen: σ added where only objects fit that may have moved.
 _MOVABLE_SIGMA_M: Final = 0.3
 _MOVABLE_SIGMA_RAD: Final = math.radians(0.5)
@@ -108,20 +107,26 @@ class ScanMatcherOutput(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _MatchPlace:
-    """Where a sweep is matched: prediction, plane and block, and the convergence of the block's east from the
-    plane's."""
+    """Where a sweep is matched: the prediction in the plane, and the block."""
 
     prediction: Prediction
     plane: LocalPlane
     block: MapBlock
-    convergence_rad: float
 
     @property
     def pose(self) -> PlanarPose:
         """The predicted pose in the block's frame."""
-        prediction = self.prediction
-        east_m, north_m = self.block.east_north(*self.plane.geodetic(prediction.east_m, prediction.north_m))
-        return PlanarPose(east_m, north_m, prediction.yaw_rad - self.convergence_rad)
+        return PlanarPose(*self._in_block(0.0), self.prediction.yaw_rad - self.convergence_rad)
+
+    @cached_property
+    def convergence_rad(self) -> float:
+        """Angle of the block's east from the plane's at the vehicle."""
+        here, east = self._in_block(0.0), self._in_block(10.0)
+        return -math.atan2(east[1] - here[1], east[0] - here[0])
+
+    def _in_block(self, further_east_m: float) -> tuple[float, float]:
+        east_m = self.prediction.east_m + further_east_m
+        return self.block.east_north(*self.plane.geodetic(east_m, self.prediction.north_m))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,9 +153,7 @@ class ScanMatcher:
         self._local_map = LocalMap(options.sweeps)
         self._queue: deque[Sweep] = deque()
         self._measured_tilt: tuple[float, float] | None = None  # roll and pitch by a sensor
-        self._matched_attitude: tuple[int, float, float] | None = (
-            None  # time, roll and pitch by the last match
-        )
+        self._matched_attitude: tuple[int, float, float] | None = None  # time; roll and pitch by a match
         self._road_height: tuple[float, float] | None = None  # ellipsoidal, and the path driven then
         self._last_sweep_ns: int | None = None
         self._searched_ns = -_SEARCH_PAUSE_NS
@@ -270,8 +273,7 @@ class ScanMatcher:
         block = self._tiles.block_at(*plane.geodetic(prediction.east_m, prediction.north_m), now_ns)
         if block is None:
             return f"map: {self._tiles.reason}"
-        convergence_rad = _convergence(plane, block, prediction)
-        return _MatchPlace(prediction=prediction, plane=plane, block=block, convergence_rad=convergence_rad)
+        return _MatchPlace(prediction=prediction, plane=plane, block=block)
 
     def _road_height_m(self, road: Road) -> float | None:
         """Return the ellipsoidal height of the driven road, by the last match or by the road of the links."""
@@ -350,17 +352,13 @@ class ScanMatcher:
         """Match with fences, hedges and cars too, which may have moved: ambiguous, with a larger covariance."""
         options = self._options.match
         scan = replace(scan, targets=block.layers(options.bounds_m, static_only=False))
-        if reach is None:
-            match, unique = match_layers(scan, options), False
-        else:
-            result = search(scan, options, reach)
-            match, unique = result.match, result.unique
+        result = None if reach is None else search(scan, options, reach)
+        match = match_layers(scan, options) if result is None else result.match
         if match.status != "converged":
             return replace(match, status="lost"), False
-        covariance = match.covariance + np.diag(
-            [_MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_RAD**2]
-        )
-        return replace(match, status="ambiguous", reason="low_things", covariance=covariance), unique
+        added = np.diag([_MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_RAD**2])
+        match = replace(match, status="ambiguous", reason="low_things", covariance=match.covariance + added)
+        return match, result is not None and result.unique
 
     def _is_uncertain(self, prediction: Prediction) -> bool:
         wide = _SIGMAS * prediction.position_sigma_m > self._options.sure_m
@@ -459,13 +457,6 @@ def _with_shift_variance(match: LayeredMatch, scan: MatchInput, block: MapBlock)
         return match
     covariance = match.covariance.copy()
     covariance[:2, :2] += more_m2 * np.outer(worst, worst)
-    if match.status == "converged" and more_m2 > _DEGENERATE_SIGMA_M**2:
+    if match.status == "converged" and more_m2 > DEGENERATE_SIGMA_M**2:
         return replace(match, status="ambiguous", reason="direction_unseen", covariance=covariance)
     return replace(match, covariance=covariance)
-
-
-def _convergence(plane: LocalPlane, block: MapBlock, prediction: Prediction) -> float:
-    """Return the angle of the block's east from the plane's at the vehicle [rad]."""
-    here = block.east_north(*plane.geodetic(prediction.east_m, prediction.north_m))
-    east = block.east_north(*plane.geodetic(prediction.east_m + 10.0, prediction.north_m))
-    return -math.atan2(east[1] - here[1], east[0] - here[0])

@@ -79,7 +79,7 @@ def test_reverse_goes_back():
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.08])
-def test_what_old_wheel_speeds_miss_is_put_right_by_their_age(lag_s):
+def test_the_lag_of_the_wheel_speed_is_compensated(lag_s):
     """Speeding up from 2 to 10 m/s, then on; without their age the way would be 8 m/s times it too short."""
     reckoner = Reckoner()
     reckoner.x[WHEEL_LAG] = lag_s

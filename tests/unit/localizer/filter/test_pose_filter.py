@@ -145,7 +145,7 @@ def test_without_a_start_there_is_no_pose():
     assert vehicle.filter.estimate() is None
 
 
-def test_the_heading_shows_by_anchors_and_motion():
+def test_anchors_and_motion_determine_the_heading():
     vehicle = Vehicle(yaw=2.0)
     vehicle.drive(2.0, 0.0, anchored=True)
     e = vehicle.filter.estimate()
@@ -180,7 +180,7 @@ def test_a_thousand_anchors_at_a_standstill_do_not_make_a_millimetre():
     assert vehicle.nees() < 16.3
 
 
-def test_an_anchor_that_comes_late_is_worth_almost_the_same():
+def test_a_late_anchor_gives_almost_the_same_update():
     prompt, late = (anchored_vehicle(seed=7, quiet=True) for _ in range(2))
     for vehicle in (prompt, late):
         vehicle.drive(20.0, 8.0, 0.05)
@@ -251,7 +251,7 @@ def test_first_anchors_after_long_gaps_lie_where_the_covariance_says():
     assert max(nis) < 13.82
 
 
-def test_a_standstill_teaches_the_bias_of_the_yaw_rate():
+def test_the_yaw_rate_bias_is_learnt_at_a_standstill():
     after, before = (Vehicle(seed=3) for _ in range(2))
     for vehicle, wait_s in ((before, 0.0), (after, 60.0)):
         vehicle.filter.start(given_pose(vehicle))
@@ -274,7 +274,7 @@ def test_a_standstill_keeps_the_pose_and_couples_nothing():
     assert later.speed_m_s is not None
 
 
-def test_a_silence_longer_than_can_be_bridged_loses_the_pose():
+def test_a_gap_longer_than_can_be_bridged_loses_the_pose():
     vehicle = anchored_vehicle()
     vehicle.time_ns += 120 * 10**9
     vehicle.sense(8.0, 0.0)
@@ -298,7 +298,7 @@ def test_samples_from_the_past_change_nothing():
     np.testing.assert_array_equal(vehicle.filter.estimate().covariance, before.covariance)
 
 
-def test_what_a_silent_sensor_would_say_is_not_known():
+def test_without_readings_speed_and_yaw_rate_are_unknown():
     vehicle = anchored_vehicle()
     vehicle.time_ns += 2 * 10**8
     vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=None, yaw_rate_rad_s=None))
@@ -344,7 +344,7 @@ def test_coupling_with_a_link_that_deviates_slowly_stays_honest_and_helps():
     assert np.std(across[True]) < 0.6 * np.std(across[False])
 
 
-def test_a_thousand_couplings_do_not_know_a_coarse_link_better_than_it_is():
+def test_a_thousand_couplings_do_not_average_a_coarse_link():
     vehicle = Vehicle()
     vehicle.filter.start(given_pose(vehicle, sigma_m=10.0, yaw_deg=1.0))
     couple_along(vehicle, [0.0] * 2000, 600.0, sigma_m=2.0)
@@ -379,7 +379,7 @@ def test_links_are_coupled_at_intervals_of_distance_only():
     assert set(outcomes) == {"coupled", "too_soon"}
 
 
-def test_links_that_say_nothing_about_the_heading_are_not_coupled():
+def test_links_without_a_meaningful_direction_are_not_coupled():
     vehicle = anchored_vehicle()
     line = LinkLine(0.0, 0.0)
     couple = vehicle.filter.couple_link
@@ -440,7 +440,7 @@ def test_a_turn_onto_another_link_determines_the_position_along_the_first():
 # Row 2: the other rotation sensor
 
 
-def test_a_common_error_of_the_heading_is_no_evidence():
+def test_a_common_heading_error_stays_unobserved():
     vehicle = Vehicle(both_sensors=True)
     vehicle.filter.start(given_pose(vehicle, yaw_deg=5.0))
     vehicle.drive(60.0, 8.0)
@@ -448,7 +448,7 @@ def test_a_common_error_of_the_heading_is_no_evidence():
     assert math.sqrt(vehicle.filter.estimate().covariance[2, 2]) > math.radians(5.0)
 
 
-def test_two_rotation_sensors_together_are_better_than_one_and_honest():
+def test_two_rotation_sensors_are_better_than_one_and_consistent():
     nees, errors = [], {True: [], False: []}
     motion = replace(PoseModel().motion, steering_noise_rad=2e-3, steering_scale_sigma=0.002)
     motion = replace(motion, yaw_rate_bias_sigma_rad_s=math.radians(0.2), steering_bias_sigma_rad=1e-4)
@@ -512,7 +512,7 @@ def test_no_unconfirmed_fix_changes_a_pose_that_was_anchored_or_given(begin):
     np.testing.assert_array_equal(after.covariance, before.covariance)
 
 
-def test_fixes_may_restart_a_pose_that_owns_to_have_drifted():
+def test_fixes_may_restart_a_pose_whose_sigma_says_it_has_drifted():
     vehicle = Vehicle(model=PoseModel(restart_sigma_m=5.0))
     vehicle.filter.start(given_pose(vehicle, yaw_deg=3.0))
     vehicle.drive(60.0, 8.0)

@@ -156,7 +156,7 @@ def test_a_match_holds_the_pose_and_its_age_is_reported():
     assert vehicle.filter.estimate().match_age_s == pytest.approx(1.3)
 
 
-def test_a_match_that_leaves_the_direction_of_travel_open_enters_and_holds_no_place():
+def test_a_match_degenerate_along_the_road_updates_but_gives_no_position():
     """Between two walls: across it is centimetres, along it says nothing, so it supports no distance."""
     vehicle = matched_vehicle()
     for _ in range(10):
@@ -184,7 +184,7 @@ def test_poses_held_by_matches_lie_where_the_covariance_says():
     assert np.mean(nees) > 0.5, "sigmas several times too large help nobody"
 
 
-def test_a_late_match_is_brought_to_the_present_in_a_curve():
+def test_a_late_match_is_carried_to_the_present_in_a_curve():
     vehicle = matched_vehicle(seed=3)
     vehicle.drive(4.0, 8.0, 0.4)
     vehicle.drive(0.5, 8.0, 0.4, matches=False)
@@ -203,7 +203,7 @@ def test_a_thousand_matches_at_a_standstill_do_not_make_a_millimetre():
 
 
 @pytest.mark.parametrize("vague_m2", [1e4, 1e8])
-def test_a_direction_that_the_scene_does_not_determine_gains_nothing_and_harms_nothing(vague_m2):
+def test_a_degenerate_direction_keeps_its_covariance(vague_m2):
     vehicle = Vehicle(seed=5)
     vehicle.filter.start(vehicle.given(sigma_m=0.5))
     for _ in range(200):
@@ -244,7 +244,7 @@ def test_matches_without_a_pose_too_old_repeated_or_ahead_change_nothing():
     assert state_of(vehicle.filter) == before
 
 
-def test_a_unique_match_shows_an_unknown_heading():
+def test_a_unique_match_determines_an_unknown_heading():
     vehicle = Vehicle()
     pose = vehicle.given()
     vehicle.filter.start(
@@ -263,7 +263,7 @@ def test_a_unique_match_shows_an_unknown_heading():
     assert abs(vehicle.error()[2]) < math.radians(1.0)
 
 
-def test_the_pose_is_foretold_and_looked_back_upon():
+def test_the_pose_is_predicted_ahead_and_interpolated_back():
     vehicle = matched_vehicle()
     vehicle.drive(3.0, 8.0, 0.3)
     time_ns, at = vehicle.past[-6]
@@ -307,7 +307,7 @@ def silent(vehicle, seconds, missing):
 
 @pytest.mark.parametrize("missing", ["speed", "yaw rate", "clock"])
 @pytest.mark.parametrize("seconds", [1.0, 4.0])
-def test_what_a_silent_sensor_hides_is_in_the_covariance_and_in_the_ages(missing, seconds):
+def test_a_missing_sensor_shows_in_covariance_and_ages(missing, seconds):
     vehicle = matched_vehicle(seed=6)
     vehicle.drive(2.0, 8.0, 0.1)
     before = vehicle.filter.estimate().horizontal_sigma_m
@@ -347,7 +347,7 @@ def test_one_wrong_match_is_refused(off):
     assert set(vehicle.drive(2.0, 8.0)) == {"accepted"}
 
 
-def test_a_match_that_moves_the_pose_after_one_was_refused_teaches_the_sensors_nothing():
+def test_a_match_after_a_rejected_one_does_not_update_the_sensors():
     vehicle = matched_vehicle()
     scale = vehicle.filter.state.x[SCALE]
     assert vehicle.match(off=(3.0, 0.0, 0.0)).outcome == "outside_gate"
@@ -420,17 +420,17 @@ def test_unique_matches_that_agree_over_a_distance_bring_back_a_pose_that_was_wr
 # Wheels that slip
 
 
-def test_a_slip_is_noticed_held_by_matches_and_teaches_the_scale_nothing():
+def test_slip_is_detected_matches_hold_the_pose_and_the_scale_is_not_learnt():
     for seed in range(5):
         vehicle = matched_vehicle(seed=seed)
         scale = vehicle.filter.state.x[SCALE]
-        worst, doubted = 0.0, False
+        worst, suspected = 0.0, False
         for slip in (*SLIP, *[1.3] * 50, *SLIP[::-1]):
             vehicle.step(8.0, slip=slip)
             vehicle.match()
             worst = max(worst, vehicle.distance())
-            doubted |= vehicle.filter.estimate().wheel_slip_suspected
-        assert doubted
+            suspected |= vehicle.filter.estimate().wheel_slip_suspected
+        assert suspected
         assert worst < 0.5, "without matches it would be 12 m"
         vehicle.drive(5.0, 8.0)
         e = vehicle.filter.estimate()
@@ -439,7 +439,7 @@ def test_a_slip_is_noticed_held_by_matches_and_teaches_the_scale_nothing():
         assert vehicle.distance() < 0.1
 
 
-def test_a_slip_without_any_witness_is_noticed_by_an_acceleration_that_no_vehicle_makes():
+def test_slip_without_another_source_is_detected_by_an_impossible_acceleration():
     vehicle = matched_vehicle()
     for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.2, 1.1):
         vehicle.step(8.0, slip=slip)
@@ -449,7 +449,7 @@ def test_a_slip_without_any_witness_is_noticed_by_an_acceleration_that_no_vehicl
     assert vehicle.nees() < 16.3
 
 
-def test_wheels_that_cease_to_slip_are_believed_again_without_a_witness():
+def test_slip_ends_without_another_source():
     vehicle = matched_vehicle()
     for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.24, 1.18, 1.12, 1.06):
         vehicle.step(8.0, slip=slip)
@@ -461,7 +461,7 @@ def test_wheels_that_cease_to_slip_are_believed_again_without_a_witness():
     assert vehicle.nees() < 16.3
 
 
-def test_wheels_that_lock_do_not_stop_the_vehicle():
+def test_locked_wheels_do_not_stop_the_pose_at_once():
     vehicle = matched_vehicle()
     for slip in (0.5, *[0.35] * 20, 0.7):
         vehicle.step(8.0, slip=slip)
@@ -471,19 +471,19 @@ def test_wheels_that_lock_do_not_stop_the_vehicle():
     assert vehicle.distance() < 0.1
 
 
-def test_a_slow_slip_is_noticed_by_the_matches():
+def test_slow_slip_is_detected_by_matches():
     vehicle = matched_vehicle()
-    doubted, worst = False, 0.0
+    suspected, worst = False, 0.0
     for k in range(60):
         vehicle.step(8.0, slip=1.0 + min(0.01 * k, 0.2))
         vehicle.match()
-        doubted |= vehicle.filter.estimate().wheel_slip_suspected
+        suspected |= vehicle.filter.estimate().wheel_slip_suspected
         worst = max(worst, vehicle.distance())
-    assert doubted
+    assert suspected
     assert worst < 0.5, "without matches it would be 8 m"
 
 
-def test_matches_that_are_off_as_the_ones_before_were_do_not_make_the_wheels_doubted():
+def test_matches_with_the_same_offset_as_before_raise_no_suspicion_of_slip():
     for seed in range(3):
         vehicle = matched_vehicle(seed=seed)
         for k in range(150):
@@ -493,7 +493,7 @@ def test_matches_that_are_off_as_the_ones_before_were_do_not_make_the_wheels_dou
             assert not vehicle.filter.estimate().wheel_slip_suspected
 
 
-def test_wheels_that_stand_stop_a_vehicle_that_slides():
+def test_locked_wheels_bring_a_sliding_vehicle_to_rest():
     vehicle = matched_vehicle()
     for slip in (0.4, *[0.0] * 20):
         vehicle.step(0.0, slip=slip)
@@ -535,7 +535,7 @@ def test_links_that_all_lie_off_to_one_side_are_no_better_known_for_being_many(s
 # Anchors against matches
 
 
-def test_anchors_that_contradict_the_matches_win_nothing_in_silence():
+def test_anchors_that_contradict_the_matches_are_a_conflict():
     vehicle = matched_vehicle()
     vehicle.drive(10.0, 8.0, anchors=(0.0, 2.0))
     e = vehicle.filter.estimate()
@@ -548,7 +548,7 @@ def test_anchors_that_contradict_the_matches_win_nothing_in_silence():
     assert (e.mode, e.conflict) == ("scan_match", None)
 
 
-def test_matches_that_contradict_the_anchors_win_nothing_in_silence():
+def test_matches_that_contradict_the_anchors_are_a_conflict():
     vehicle = Vehicle()
     vehicle.filter.start(vehicle.given())
     vehicle.drive(20.0, 8.0, matches=False, anchors=(0.0, 0.0))
@@ -559,7 +559,7 @@ def test_matches_that_contradict_the_anchors_win_nothing_in_silence():
     assert vehicle.distance() < 0.15
 
 
-def test_who_is_left_alone_is_believed_in_the_end():
+def test_the_only_source_left_is_believed_in_the_end():
     vehicle = matched_vehicle()
     vehicle.drive(4.0, 8.0, anchors=(0.0, 2.0))
     vehicle.drive(4.0, 8.0, matches=False, anchors=(0.0, 2.0))
@@ -607,7 +607,7 @@ def test_matches_that_are_not_unique_or_vague_support_nothing(matches):
     assert vehicle.filter.mode == "provisional"
 
 
-def test_a_provisional_pose_is_what_it_is_without_the_matches_that_do_not_yet_support_it():
+def test_matches_that_do_not_yet_support_a_provisional_pose_change_nothing():
     poses = []
     for matches in (True, False):
         vehicle = Vehicle(seed=8)
@@ -644,7 +644,7 @@ def supported_after(fixes_off, seed):
 
 
 @pytest.mark.parametrize("seed", [11, 12])
-def test_a_supported_pose_owes_nothing_to_the_fixes_that_began_it(seed):
+def test_a_supported_pose_does_not_depend_on_the_fixes_that_started_it(seed):
     right, wrong = supported_after((0.0, 0.0), seed), supported_after((3.0, -2.0), seed)
     assert right[-1] is not None
     assert right == wrong
@@ -677,7 +677,7 @@ def test_no_unconfirmed_fix_changes_a_pose_that_was_given(seed):
     assert poses[True] == poses[False]
 
 
-def test_a_given_pose_and_matches_remember_no_fix_of_before():
+def test_a_given_pose_and_matches_do_not_depend_on_earlier_fixes():
     poses = []
     for fixes in (True, False):
         vehicle = Vehicle(seed=21)

@@ -43,7 +43,7 @@ class Drive:
         return self.start.add(self.time_ns, (float(at[0]), float(at[1])), FIX, self.track)
 
 
-def test_moving_fixes_that_agree_show_place_and_heading():
+def test_moving_fixes_that_agree_determine_position_and_heading():
     drive = Drive(yaw=2.0, east=100.0, north=-50.0, antenna=(1.2, 0.3))
     pose = None
     for k in range(60):
@@ -156,7 +156,7 @@ def a_place(east, north, drive, sigma=0.05):
     return TrackedPosition(east, north, sigma**2, drive.track.at(drive.time_ns))
 
 
-def test_without_a_heading_what_is_driven_spreads_over_a_circle():
+def test_without_a_heading_the_driven_distance_spreads_over_a_circle():
     drive = Drive()
     search = HeadingSearch(a_place(10.0, 20.0, drive), (0.0, 0.0), HeadingModel())
     for _ in range(50):
@@ -166,7 +166,7 @@ def test_without_a_heading_what_is_driven_spreads_over_a_circle():
     assert 13.82 * variance > 50.0**2, "the circle lies within the 99.9 % ellipse"
 
 
-def test_two_places_and_the_track_between_them_show_the_heading():
+def test_two_positions_and_the_track_between_them_determine_the_heading():
     drive = Drive(yaw=1.0)
     search = HeadingSearch(a_place(*drive.place, drive), (0.0, 0.0), HeadingModel())
     heading = None
@@ -176,7 +176,7 @@ def test_two_places_and_the_track_between_them_show_the_heading():
     assert heading[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_place_the_track_does_not_lead_to_shows_nothing():
+def test_a_position_the_track_does_not_lead_to_determines_nothing():
     drive = Drive()
     search = HeadingSearch(a_place(0.0, 0.0, drive), (0.0, 0.0), HeadingModel())
     for _ in range(10):

@@ -88,7 +88,7 @@ def test_the_age_of_the_wheels_speed_is_learnt_where_the_speed_changes(lag_s):
 
 
 @pytest.mark.parametrize("scale", [-0.012, 0.008])
-def test_a_scale_that_smears_the_local_map_is_learnt_and_not_believed_to_be_a_place(scale):
+def test_a_wheel_scale_that_smears_the_local_map_is_learnt_and_does_not_move_the_pose(scale):
     drive = Straight(lag_s=0.05, scale=scale)
     errors, squares = drive.run(20.0)
     assert drive.filter.state.x[SCALE] == pytest.approx(scale, abs=0.002)

@@ -77,7 +77,7 @@ STACKED = [
 ]
 
 
-def test_one_road_above_another_is_ambiguous_and_says_which():
+def test_one_road_above_another_is_ambiguous_with_its_candidates():
     for match in drive(LinkMatcher(LinkNetwork(STACKED)), [(100, 1.5), (600, 1.5)]):
         assert match.status == "ambiguous"
         assert set(match.candidates) == {"ground", "viaduct"}

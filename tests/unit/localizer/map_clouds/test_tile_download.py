@@ -68,14 +68,14 @@ def test_a_tile_arrives_whole_a_few_parts_a_step() -> None:
     assert fetch.requests(NOW_NS) == []
 
 
-def test_what_is_here_is_not_loaded_again() -> None:
+def test_an_unchanged_tile_is_not_loaded_again() -> None:
     blob = tile_blob()
     fetch = new_fetch(have_sha256=digest(blob))
     assert run(fetch, serving(blob)) == 1
     assert (fetch.state, fetch.tile, fetch.sha256) == ("unchanged", None, digest(blob))
 
 
-def test_what_is_here_and_has_changed_is_loaded() -> None:
+def test_a_changed_tile_is_loaded() -> None:
     fetch = new_fetch(have_sha256=digest(tile_blob(seed=2)))
     run(fetch, serving(tile_blob()))
     assert fetch.state == "loaded"
@@ -139,7 +139,7 @@ def test_why_there_is_no_tile_is_passed_on(reason: str) -> None:
     assert (fetch.state, fetch.reason, fetch.tile) == ("unknown", reason, None)
 
 
-def test_bytes_that_have_not_their_hash_are_refused() -> None:
+def test_bytes_with_another_hash_are_refused() -> None:
     fetch = new_fetch()
     run(fetch, serving(tile_blob(), name="0" * 64))
     assert (fetch.state, fetch.tile) == ("unknown", None)
@@ -169,7 +169,7 @@ def test_unchanged_without_having_anything_is_refused() -> None:
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(data=st.data())
-def test_whatever_comes_it_is_right_or_refused(data: st.DataObject) -> None:
+def test_any_replies_give_the_right_tile_or_none(data: st.DataObject) -> None:
     """Replies of wrong parts, hashes and numbers, in any order: never a wrong tile, and never more than a bound."""
     blob = tile_blob(points=30_000)
     fetch = new_fetch()

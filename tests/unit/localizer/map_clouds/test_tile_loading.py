@@ -69,7 +69,7 @@ def test_of_a_new_version_only_what_has_changed_is_loaded_again() -> None:
     assert answers.asked["road_cloud", 57686, 25920] == 2
 
 
-def test_who_does_not_answer_is_asked_again_after_a_pause() -> None:
+def test_a_query_without_reply_is_repeated_after_a_pause() -> None:
     answers = CountingMap()
     answers.silent = True
     clouds = supply(answers)
@@ -81,7 +81,7 @@ def test_who_does_not_answer_is_asked_again_after_a_pause() -> None:
     assert clouds.block_at(*HERE, START_NS + 2 * NS) is not None
 
 
-def test_an_absent_map_server_is_not_asked_and_what_is_here_serves_on() -> None:
+def test_an_absent_map_server_is_not_queried_and_loaded_tiles_stay_in_use() -> None:
     answers = CountingMap()
     clouds = supply(answers)
     block = clouds.block_at(*HERE, START_NS + NS)
@@ -93,7 +93,7 @@ def test_an_absent_map_server_is_not_asked_and_what_is_here_serves_on() -> None:
     assert sum(answers.asked.values()) == asked
 
 
-def test_where_the_map_has_no_clouds_the_reason_says_so_and_it_asks_again_later() -> None:
+def test_without_clouds_the_reason_is_given_and_the_query_repeated_later() -> None:
     answers = CountingMap()
     clouds = supply(answers)
     far = (HERE[0] + 0.01, HERE[1])

@@ -85,7 +85,7 @@ def test_a_match_that_moves_along_the_grade_takes_its_height_along() -> None:
     assert result.map_from_vehicle[2, 3] == pytest.approx(GRADE, abs=0.004)
 
 
-def test_a_sweep_that_shows_no_road_says_no_height_and_leaves_the_match() -> None:
+def test_a_sweep_without_road_gives_no_height_and_leaves_the_match() -> None:
     walls = np.column_stack((np.full(500, 12.0), np.linspace(-9.0, 9.0, 500), np.linspace(0.5, 4.0, 500)))
     match = off(up_m=0.05)
     result = heights(match, sweep_m=walls)

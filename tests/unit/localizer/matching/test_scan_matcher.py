@@ -80,7 +80,7 @@ def all_nan(sweep: Sweep) -> Iterator[Sweep]:
 
 
 @pytest.mark.parametrize("broken", [no_sweeps, empty, from_the_future, from_the_past, stopped_clock, all_nan])
-def test_without_usable_sweeps_it_is_dead_reckoning_and_says_so(
+def test_without_usable_sweeps_the_mode_is_dead_reckoning_with_a_reason(
     broken: Callable[[Sweep], Iterator[Sweep]],
 ) -> None:
     drive = StreetDrive(begin_m=-40.0)
@@ -127,7 +127,7 @@ def test_a_mirrored_sensor_never_gives_a_confident_wrong_pose() -> None:
     assert drive.error_m() < 4.0 * drive.sigma_m()
 
 
-def test_where_the_map_has_no_clouds_it_says_so() -> None:
+def test_without_clouds_in_the_map_the_pose_gives_the_reason() -> None:
     class NoClouds(SyntheticMap):
         def tile(self, request: TileRequest) -> TileReply:
             return TileReply(
@@ -175,7 +175,7 @@ def test_fixes_change_no_bit_of_a_given_pose_whatever_they_say() -> None:
     assert runs[0] == runs[1]
 
 
-def test_started_from_fixes_alone_the_pose_is_provisional_until_matches_stand_for_it() -> None:
+def test_started_from_fixes_alone_the_pose_is_provisional_until_matches_support_it() -> None:
     drive = StreetDrive(given=False, begin_m=-40.0)
     drive.run(25, sweeps=no_sweeps, fixes=lambda d: d.fix(d.at_m(d.time_ns), 0.0))
     assert drive.poses[-1].mode == "provisional"

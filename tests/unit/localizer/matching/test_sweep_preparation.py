@@ -78,7 +78,7 @@ def prepared(
     return prepare_sweep(sweep, MOUNT, track, **options)  # type: ignore[arg-type]
 
 
-def test_what_stands_still_is_where_it_is_seen_from_at_the_end() -> None:
+def test_static_points_are_deskewed_to_the_end_of_the_sweep() -> None:
     truth, track = walls(), driving()
     result = prepared(*measured(truth, track), track=track, options=FINE)
     assert result.problem is None
@@ -145,7 +145,7 @@ def test_a_handful_of_points_is_too_few() -> None:
     assert prepared(points, offset).problem == "too_few_points"
 
 
-def test_half_a_sweep_is_used_and_called_so() -> None:
+def test_half_a_sweep_is_used_with_its_problem() -> None:
     points, offset = measured(walls(), driving())
     ahead = points[:, 0] > 0.0
     result = prepared(points[ahead], offset[ahead])
