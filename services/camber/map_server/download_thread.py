@@ -60,7 +60,7 @@ class DownloadThread(threading.Thread):
         self._failures = 0
         self._ask_at_s = self._fetch_at_s = float("-inf")
         self._folder_stamp: object | None = _UNSEEN
-        self._looked_at: object | None = None
+        self._last_tile: object | None = None
         self._stamp = self._store.stamp()
 
     def run(self) -> None:
@@ -110,8 +110,8 @@ class DownloadThread(threading.Thread):
         if self._damaged:
             self._damaged = self._complete = False
             self._guarded(self._cloud, self._download.drop_damaged, now_s)
-        if self._download.position_rad is not None and self._download.tile() != self._looked_at:
-            self._looked_at, self._complete = self._download.tile(), False
+        if self._download.position_rad is not None and self._download.tile() != self._last_tile:
+            self._last_tile, self._complete = self._download.tile(), False
         if self._folder is not None and self._folder.stamp() != self._folder_stamp:
             self._folder_stamp, folder = self._folder.stamp(), self._folder
             if self._folder_stamp is not None:

@@ -219,7 +219,7 @@ class ElevationMap:
         number = tile_numbers(points.latitude_rad, points.longitude_rad)
         roads, sorted_roads = empty_roads(len(number)), empty_roads(min(_BLOCK, len(number)))
         for begin in range(0, len(number), _BLOCK):
-            tiles, rows, start, gone_to = sort_by_tile(number[begin : begin + _BLOCK])
+            tiles, rows, start, sorted_place = sort_by_tile(number[begin : begin + _BLOCK])
             rows += begin
             for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
                 index = self._index(tile)
@@ -232,7 +232,7 @@ class ElevationMap:
                     select_roads_by_links(
                         index.table, points, rows[first:end], roads=sorted_roads, begin=first
                     )
-            restore_order(gone_to, sorted_roads, roads, begin)
+            restore_order(sorted_place, sorted_roads, roads, begin)
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
             self._by_topology(undecided, number, points, roads)
@@ -254,9 +254,9 @@ class ElevationMap:
         for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
             index = self._index(tile)
             assert index is not None, "a tile without surfaces is decided"
-            of = group[members]
+            topology = group[members]
             select_roads(
-                index.table, points, rows[members], topology=of, known=table_of_topologies, roads=roads
+                index.table, points, rows[members], topology=topology, known=table_of_topologies, roads=roads
             )
 
     def _index(self, tile: int) -> TileIndex | None:

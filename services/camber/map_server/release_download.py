@@ -180,7 +180,7 @@ class ReleaseDownload:
         """Download tiles until none is missing; the selection changes while the vehicle drives."""
         before, tiles = self._current(), release.tiles_by_hash()
         while missing := self.store.missing(self._wanted(release)):
-            begun_at = self.tile()
+            start_tile = self.tile()
             bases = [None if before is None else before.sha256(*tiles[digest][:3]) for digest in missing]
             wanted = list(zip(missing, bases, strict=True))
             for n, blob in enumerate(wanted):
@@ -190,7 +190,7 @@ class ReleaseDownload:
                 decode_tile(layer, data, file=f"{supplier.name}: blob {digest}", tile=(x, y))
                 self.store.put(digest, data)
                 yield
-                if self.tile() != begun_at:  # other tiles are nearer now
+                if self.tile() != start_tile:  # other tiles are nearer now
                     break
 
     def tile(self) -> Tile | None:

@@ -123,13 +123,12 @@ def select_roads_by_links(
 
 
 @compiled
-def restore_order(gone_to: Integers, sorted_roads: SelectedRoads, roads: SelectedRoads, begin: int) -> None:
-    """Fill `roads` from row `begin` on with the rows `gone_to` (k,) of `sorted_roads`."""
-    for i in range(len(gone_to)):
-        of, to = gone_to[i], begin + i
-        roads.reason[to], roads.elsewhere[to] = sorted_roads.reason[of], sorted_roads.elsewhere[of]
-        roads.surface_id[to], roads.level[to] = sorted_roads.surface_id[of], sorted_roads.level[of]
-        roads.elevation_m[to], roads.sigma_m[to] = sorted_roads.elevation_m[of], sorted_roads.sigma_m[of]
-        roads.slope_east[to] = sorted_roads.slope_east[of]
-        roads.slope_north[to] = sorted_roads.slope_north[of]
-        roads.extent_m[to] = sorted_roads.extent_m[of]
+def restore_order(sorted_place: Integers, source: SelectedRoads, target: SelectedRoads, begin: int) -> None:
+    """Fill `target` from row `begin` on with the rows `sorted_place` (k,) of `source`."""
+    for place in range(len(sorted_place)):
+        i, j = begin + place, sorted_place[place]
+        target.reason[i], target.elsewhere[i] = source.reason[j], source.elsewhere[j]
+        target.surface_id[i], target.level[i] = source.surface_id[j], source.level[j]
+        target.elevation_m[i], target.sigma_m[i] = source.elevation_m[j], source.sigma_m[j]
+        target.slope_east[i], target.slope_north[i] = source.slope_east[j], source.slope_north[j]
+        target.extent_m[i] = source.extent_m[j]

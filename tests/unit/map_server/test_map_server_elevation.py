@@ -296,7 +296,7 @@ def test_heights_do_not_decide_on_a_level() -> None:
 @given(
     st.integers(0, 2**32), st.lists(st.integers(0, 5), max_size=3), st.one_of(st.none(), st.integers(0, 30))
 )
-def test_a_known_road_never_contradicts_the_topology(
+def test_what_is_known_never_contradicts_the_topology(
     seed: int, link_ids: list[int], last_surface_id: int | None
 ) -> None:
     rows, link_rows = _tangle(seed)

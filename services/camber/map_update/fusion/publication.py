@@ -287,19 +287,19 @@ def _regional_shifts(
     areas = [(int(k), region == k) for k in np.unique(region[enough])]
     alarms, shifted = [], np.zeros(len(row), bool)
     for number, inside in [*areas, (-1, np.ones(len(row), bool))]:
-        of = np.flatnonzero(inside & enough)
-        links = len(np.unique(neighbourhood.link_id[row[of]]))
-        if len(of) < _REGION_SURFACES or links < _REGION_LINKS:
+        rows = np.flatnonzero(inside & enough)
+        links = len(np.unique(neighbourhood.link_id[row[rows]]))
+        if len(rows) < _REGION_SURFACES or links < _REGION_LINKS:
             continue
-        shift_m = float(np.median(change_m[of]))
-        spread_m = MAD_TO_SIGMA * float(np.median(np.abs(change_m[of] - shift_m)))
+        shift_m = float(np.median(change_m[rows]))
+        spread_m = MAD_TO_SIGMA * float(np.median(np.abs(change_m[rows] - shift_m)))
         # Surfaces of one link are not independent: the n of the median's standard error is the number of links.
         error_m = math.hypot(
-            _MEDIAN_ERROR * spread_m / math.sqrt(links), float(np.median(common_error_m[of]))
+            _MEDIAN_ERROR * spread_m / math.sqrt(links), float(np.median(common_error_m[rows]))
         )
-        alike = np.abs(change_m[of] - shift_m) < np.abs(change_m[of])
+        alike = np.abs(change_m[rows] - shift_m) < np.abs(change_m[rows])
         significant = abs(shift_m) - settings.publish_standard_errors * error_m > _REGION_SHIFT_M
         if significant and alike.mean() > _REGION_SHARE:
-            alarms.append((number, shift_m, alike.mean(), len(of)))
+            alarms.append((number, shift_m, alike.mean(), len(rows)))
             shifted |= inside
     return np.array(alarms, ALARM), shifted
