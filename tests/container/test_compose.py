@@ -33,21 +33,23 @@ RIGHT_WITHIN_M = 0.2  # the wrong fixes of the drive are off by 0.35 m of height
 
 
 class Subscription:
-    """Hears the verdicts as a consumer on this machine would, from before the router is killed until after."""
+    """Receives the verdicts like a consumer on this machine, from before the router is killed until after."""
 
     def __init__(self, port: int) -> None:
-        self.heard: list[tuple[float, Verdict]] = []
+        self.received: list[tuple[float, Verdict]] = []
         settings = ZenohSettings(mode="client", connect=[f"tcp/127.0.0.1:{port}"])
         self._session = open_session(settings, timeout_s=20.0)
-        self._session.declare_subscriber(BY_NAME["verdict"].key_for("demo"), self._hear)
+        self._session.declare_subscriber(BY_NAME["verdict"].key_for("demo"), self._receive)
 
-    def _hear(self, sample: Any) -> None:
+    def _receive(self, sample: Any) -> None:
         verdict = decode(Verdict, sample.payload.to_bytes(), str(sample.encoding)).message
-        self.heard.append((time.monotonic(), verdict))
+        self.received.append((time.monotonic(), verdict))
 
     def confirmed_since(self, moment: float) -> list[Verdict]:
         """Positions passed on after a moment of the monotonic clock."""
-        return [verdict for at, verdict in list(self.heard) if at > moment and verdict.verdict in CONFIRMED]
+        return [
+            verdict for at, verdict in list(self.received) if at > moment and verdict.verdict in CONFIRMED
+        ]
 
     def close(self) -> None:
         """Leave the bus."""
@@ -81,7 +83,7 @@ def test_the_summary_of_the_demo_is_there_and_nothing_wrong_was_confirmed(stack:
     assert "wrong among them 0" in stack.compose("logs", "--no-color", "demo")
 
 
-def test_services_run_without_rights_and_cannot_change_their_own_code(stack: Stack) -> None:
+def test_services_run_without_rights_and_cannot_change_their_code(stack: Stack) -> None:
     for service in ("gnss", "vehicle_router", "map_update", "demo"):
         assert stack.inside(service, "id", "-u").strip() == "10001"
         code = stack.inside(service, "python", "-c", "import camber.cli; print(camber.cli.__file__)").strip()
@@ -112,8 +114,8 @@ def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> 
     assert all(project["networks"][name]["internal"] for name in ("vehicle", "cloud"))
     for service, other in (("integrity", "cloud_router"), ("map_update", "vehicle_router")):
         known = f"import socket; socket.getaddrinfo({other!r}, 7447)"
-        said = stack.inside(service, "sh", "-c", f'python -c "{known}" 2>&1 || true')
-        assert "gaierror" in said, service
+        output = stack.inside(service, "sh", "-c", f'python -c "{known}" 2>&1 || true')
+        assert "gaierror" in output, service
 
 
 def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Subscription) -> None:
@@ -156,14 +158,14 @@ def test_a_service_that_was_killed_is_started_again(stack: Stack) -> None:
 
 
 def test_no_confirmed_position_was_wrong(listener: Subscription) -> None:
-    """Last: over everything heard before, start, outage and restart included."""
-    confirmed = [verdict for _, verdict in listener.heard if verdict.verdict in CONFIRMED]
+    """Runs last: over all verdicts received, including start, outage and restart."""
+    confirmed = [verdict for _, verdict in listener.received if verdict.verdict in CONFIRMED]
     assert len(confirmed) > 20
     truth = short_drive_truth()
-    way_m = ecef_from_geodetic(truth.latitude_rad, truth.longitude_rad, truth.height_m)
+    path_m = ecef_from_geodetic(truth.latitude_rad, truth.longitude_rad, truth.height_m)
     places = np.array([(v.latitude_rad, v.longitude_rad, v.height_m) for v in confirmed], dtype=np.float64)
     # Fixes are of the truth's own epochs, so each right one has a point of the way beside it, in height too.
-    apart_m = np.linalg.norm(ecef_from_geodetic(*places.T)[:, None] - way_m[None], axis=2).min(axis=1)
+    apart_m = np.linalg.norm(ecef_from_geodetic(*places.T)[:, None] - path_m[None], axis=2).min(axis=1)
     assert float(apart_m.max()) < RIGHT_WITHIN_M
 
 

@@ -56,9 +56,9 @@ def test_what_stands_there_as_a_comment_is_right_too(path: Path, tmp_path: Path)
     table = ""
     for line in path.read_text().splitlines():
         table = line.strip("[]") if line.startswith("[") else table
-        if found := re.match(r"# (\w+) = ", line):
+        if match := re.match(r"# (\w+) = ", line):
             owner = cls if not table else cls.model_fields[table].annotation
-            assert found[1] in owner.model_fields, f"{path.name}: {found[1]}"
+            assert match[1] in owner.model_fields, f"{path.name}: {match[1]}"
 
 
 @pytest.mark.parametrize("name", ["demo/vehicle_router", "demo/cloud_router", "vehicle/vehicle_router"])
@@ -152,18 +152,18 @@ def test_the_base_of_the_images_is_named_once_and_may_be_another() -> None:
 
 def test_pip_takes_the_settings_of_the_images_as_they_are_meant() -> None:
     """By pip's own parser: of options that begin with `no` some take their variable for the opposite."""
-    words = re.findall(r"\b(PIP_\w+)=(\S+)", re.sub(r"#.*", "", DOCKERFILE))
+    settings = re.findall(r"\b(PIP_\w+)=(\S+)", re.sub(r"#.*", "", DOCKERFILE))
     ask = (
         "from pip._internal.commands import create_command\n"
         "options, _ = create_command('install').parser.parse_args([])\n"
         "print(bool(options.compile), options.cache_dir, options.constraints)"
     )
     environ = {name: text for name, text in os.environ.items() if not name.startswith("PIP_")}
-    environ |= {**dict(words), "PIP_CONFIG_FILE": os.devnull}
+    environ |= {**dict(settings), "PIP_CONFIG_FILE": os.devnull}
     command = [sys.executable, "-c", ask]
     done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False False ['/src/constraints.txt']"
-    assert dict(words)["PIP_BUILD_CONSTRAINT"] == "/src/constraints.txt"
+    assert dict(settings)["PIP_BUILD_CONSTRAINT"] == "/src/constraints.txt"
 
 
 def test_a_machine_with_one_processor_can_start_them_all() -> None:

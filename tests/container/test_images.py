@@ -101,8 +101,8 @@ def test_built_again_the_judge_is_the_same_to_the_last_bit(images: Stack) -> Non
     again = f"{images.project}-again"
     build = ("build", "--quiet", "--no-cache", "--file", "deploy/Dockerfile")
     passed_on = ("PIP_INDEX_URL", "PYTHON_IMAGE")  # by the environment, where they are set there
-    words = [word for each in ("KIND=least", *passed_on) for word in ("--build-arg", each)]
-    docker(*build, *words, "--tag", again, ".", timeout_s=BUILD_LIMIT_S)
+    arguments = [part for each in ("KIND=least", *passed_on) for part in ("--build-arg", each)]
+    docker(*build, *arguments, "--tag", again, ".", timeout_s=BUILD_LIMIT_S)
     try:
         twice = json.loads(docker("image", "inspect", again))[0]
         assert twice["RootFS"]["Layers"] == facts(images, "integrity")["RootFS"]["Layers"]

@@ -39,9 +39,9 @@ def unit(name: str) -> dict[str, dict[str, str]]:
 
 @pytest.mark.parametrize("name", SERVICE_UNITS)
 def test_they_start_what_there_is(name: str) -> None:
-    words = unit(name)["Service"]["ExecStart"].split()
-    assert words[0] == "/opt/camber/bin/camber"
-    assert words[1] == "%i" or words[1] in TOOLS
+    command = unit(name)["Service"]["ExecStart"].split()
+    assert command[0] == "/opt/camber/bin/camber"
+    assert command[1] == "%i" or command[1] in TOOLS
     assert {each.removeprefix("camber@").removesuffix(".service") for each in WITH_MORE} <= set(SERVICES)
 
 
@@ -89,8 +89,8 @@ def analyzed(*arguments: object) -> tuple[int, list[str]]:
 
 def complaints(runnable: Path) -> list[str]:
     units = [path for path in sorted(runnable.iterdir()) if path.suffix in (".service", ".target")]
-    _, said = analyzed("verify", *units)
-    about_them = [line for line in said if str(runnable) in line]
+    _, output = analyzed("verify", *units)
+    about_them = [line for line in output if str(runnable) in line]
     return [line for line in about_them if not any(name in line for name in NEWER_THAN_SOME)]
 
 
@@ -116,7 +116,7 @@ def test_a_receiver_may_be_plugged_in_after_gnss_has_started() -> None:
 
 @pytest.mark.parametrize("name", ["camber@integrity.service", *WITH_MORE, "camber-router.service"])
 def test_systemd_calls_them_well_confined(runnable: Path, name: str) -> None:
-    code, said = analyzed("security", "--offline=true", "--threshold=20", runnable / name)
-    if any("offline" in line and "unrecognized" in line for line in said):
+    code, output = analyzed("security", "--offline=true", "--threshold=20", runnable / name)
+    if any("offline" in line and "unrecognized" in line for line in output):
         pytest.skip("this systemd-analyze looks at no files")
-    assert code == 0, said[-1]
+    assert code == 0, output[-1]

@@ -137,7 +137,7 @@ def write_settings(folder: Path) -> None:
     """Certificates, access rules, keys of releases and settings, from what is deployed."""
     done = camber(
         "certs", "make", folder / "ca", "--host", CLOUD, "--host", "router", "--host", "127.0.0.1",
-        *(word for n in range(1, 10) for word in ("--vehicle", f"car-{n}")),
+        *(part for n in range(1, 10) for part in ("--vehicle", f"car-{n}")),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for place in ("cloud", "vehicle"):
@@ -218,8 +218,8 @@ def test_the_vehicle_knows_nobody_in_the_cloud_but_its_router(world: World) -> N
     """The judge, for one, is on no network that leads there."""
     for name in (CLOUD, "map_update", "cloud_router"):
         reach = f"import socket; socket.getaddrinfo({name!r}, 7448)"
-        said = world.vehicle.inside("integrity", "sh", "-c", f'python -c "{reach}" 2>&1 || true')
-        assert "gaierror" in said
+        output = world.vehicle.inside("integrity", "sh", "-c", f'python -c "{reach}" 2>&1 || true')
+        assert "gaierror" in output
 
 
 def test_a_drive_becomes_uploads_in_the_cloud_also_after_the_link_was_cut(world: World) -> None:

@@ -59,9 +59,9 @@ def driven(drive: Path, folder: Path, *overrides: str, end_s: float = END_S) -> 
     return in_one_process(drive / "drive.toml", folder, f"end_s={end_s}", *overrides)
 
 
-def words(said: dict[str, list[Recorded[Any]]]) -> dict[float, str]:
+def verdict_by_time(output: dict[str, list[Recorded[Any]]]) -> dict[float, str]:
     """The judge's word on each fix, by the time of the drive."""
-    verdicts = [item.message for item in said["verdict"]]
+    verdicts = [item.message for item in output["verdict"]]
     return {drive_s(v.time_ns): v.verdict for v in verdicts if v.fix_id is not None}
 
 
@@ -72,7 +72,7 @@ def reasons(drive: Drive) -> Counter[str]:
 @pytest.fixture(scope="module")
 def usual(clean, tmp_path_factory) -> dict[float, str]:
     """The words on the undamaged drive."""
-    return words(driven(clean, tmp_path_factory.mktemp("usual")).recorded)
+    return verdict_by_time(driven(clean, tmp_path_factory.mktemp("usual")).recorded)
 
 
 # --- what cannot be used at all ------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "output"),
     [
         (lambda drive: (drive / "receiver.pos").unlink(), "receiver.file"),
         (lambda drive: (drive / "motion.csv").unlink(), "motion.file"),
@@ -108,12 +108,12 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
         (lambda drive: (drive / "receiver.pos").write_bytes(b""), "receiver.pos"),
     ],
 )
-def test_a_drive_that_cannot_be_used_is_one_line_and_exit_code_2(drive, tmp_path, capsys, damage, said):
+def test_a_drive_that_cannot_be_used_is_one_line_and_exit_code_2(drive, tmp_path, capsys, damage, output):
     damage(drive)
     assert main(["replay", str(drive / "drive.toml"), "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("camber replay: ")
-    assert said in line
+    assert output in line
 
 
 def test_a_shell_sees_that_line_and_that_exit_code(drive, tmp_path):
@@ -174,13 +174,13 @@ def test_a_value_that_a_service_refuses_is_its_one_line_at_once(drive, tmp_path,
     assert line.endswith(": fixed_sigma_m: Input should be less than or equal to 1 (got '5.0')")
 
 
-def test_damaged_lines_cost_their_own_epochs_and_no_other(drive, tmp_path, usual):
+def test_damaged_lines_cost_their_epochs_and_no_other(drive, tmp_path, usual):
     path = drive / "receiver.pos"
     lines, lost_s = damaged_receiver_file(path.read_bytes().splitlines(keepends=True))
     path.write_bytes(b"".join(lines))
     out = run(drive, tmp_path / "out", END_S)
-    found = words(recorded(out))
-    assert found == {time_s: word for time_s, word in usual.items() if time_s not in lost_s}
+    verdicts = verdict_by_time(recorded(out))
+    assert verdicts == {time_s: verdict for time_s, verdict in usual.items() if time_s not in lost_s}
     assert summary_of(out)["confirmed"]["wrong"] == 0
     log = (out / "logs" / "gnss.log").read_text()
     for issue in ("unreadable_input", "repeated_epoch", "out_of_order_epoch"):
@@ -191,15 +191,15 @@ def test_damaged_lines_cost_their_own_epochs_and_no_other(drive, tmp_path, usual
 def test_one_epoch_whose_clock_runs_ahead_does_not_hold_up_the_rest(drive, tmp_path, usual, ahead):
     """As one does whose clock has taken leap seconds, a second base, or a bit, wrongly."""
     edit("receiver.pos", "16:53:32.000", f"{ahead}32.000")(drive)
-    found = words(driven(drive, tmp_path).recorded)
-    assert found == {time_s: word for time_s, word in usual.items() if time_s != 12.0}
+    verdicts = verdict_by_time(driven(drive, tmp_path).recorded)
+    assert verdicts == {time_s: verdict for time_s, verdict in usual.items() if time_s != 12.0}
 
 
 def test_a_receiver_whose_clock_is_an_hour_off_all_along_is_never_confirmed(drive, tmp_path):
     path = drive / "receiver.pos"
     path.write_bytes(path.read_bytes().replace(b" 16:5", b" 17:5"))
-    said = words(driven(drive, tmp_path, end_s=3700.0).recorded)
-    assert "confirmed" not in said.values()
+    output = verdict_by_time(driven(drive, tmp_path, end_s=3700.0).recorded)
+    assert "confirmed" not in output.values()
 
 
 # --- the map -------------------------------------------------------------------------------------------------------
@@ -208,16 +208,16 @@ def test_a_receiver_whose_clock_is_an_hour_off_all_along_is_never_confirmed(driv
 def test_without_a_surface_there_nothing_is_confirmed(drive, tmp_path):
     shutil.rmtree(drive / "map")
     small_map.write(drive / "map", [small_map.surface(1)])  # 20 km away
-    said = driven(drive, tmp_path, end_s=20.0)
-    assert set(words(said.recorded).values()) == {"unknown"}
-    assert set(reasons(said)) <= {"road_unknown"}
+    output = driven(drive, tmp_path, end_s=20.0)
+    assert set(verdict_by_time(output.recorded).values()) == {"unknown"}
+    assert set(reasons(output)) <= {"road_unknown"}
 
 
 def test_a_release_of_another_datum_is_not_compared_with(drive, tmp_path):
-    said = driven(drive, tmp_path, "datum=JGD2011", end_s=20.0)
-    assert set(words(said.recorded).values()) == {"unknown"}
-    assert set(reasons(said)) == {"datum_mismatch"}
-    assert any("WGS84" in issue.text for issue in said.issues if issue.service == "map_server")
+    output = driven(drive, tmp_path, "datum=JGD2011", end_s=20.0)
+    assert set(verdict_by_time(output.recorded).values()) == {"unknown"}
+    assert set(reasons(output)) == {"datum_mismatch"}
+    assert any("WGS84" in issue.text for issue in output.issues if issue.service == "map_server")
 
 
 def stacked(surfaces: RoadSurfaces, links: RoadLinks, by_m: float) -> tuple[RoadSurfaces, RoadLinks]:
@@ -250,7 +250,7 @@ def stacked(surfaces: RoadSurfaces, links: RoadLinks, by_m: float) -> tuple[Road
 
 
 def test_where_two_levels_are_possible_neither_is_guessed(drive, tmp_path):
-    """The heights of the fixes would tell which level it is; they are what is under test and must not."""
+    """The heights of the fixes must not select the road level: they are what is under test."""
     shutil.rmtree(drive / "map")
     errors = Surrogates(seed=1)
     surfaces, links = stacked(*make_map(short_drive_truth(), errors, ANTENNA_HEIGHT_M), by_m=6.0)
@@ -264,9 +264,9 @@ def test_where_two_levels_are_possible_neither_is_guessed(drive, tmp_path):
         surfaces=surfaces,
         links=links,
     )
-    said = driven(drive, tmp_path, end_s=20.0)
-    assert set(words(said.recorded).values()) == {"unknown"}
-    assert set(reasons(said)) == {"levels_ambiguous"}
+    output = driven(drive, tmp_path, end_s=20.0)
+    assert set(verdict_by_time(output.recorded).values()) == {"unknown"}
+    assert set(reasons(output)) == {"levels_ambiguous"}
 
 
 def test_a_damaged_tile_makes_the_road_unknown_and_is_named(drive, tmp_path):
@@ -275,7 +275,7 @@ def test_a_damaged_tile_makes_the_road_unknown_and_is_named(drive, tmp_path):
         data[len(data) // 2] ^= 0xFF
         path.write_bytes(bytes(data))
     out = run(drive, tmp_path / "out", 20.0)
-    assert set(words(recorded(out)).values()) == {"unknown"}
+    assert set(verdict_by_time(recorded(out)).values()) == {"unknown"}
     assert "release_refused" in (out / "logs" / "map_server.log").read_text()
 
 
@@ -287,10 +287,10 @@ def test_motion_that_says_nothing_for_a_while_leaves_nothing_confirmed_on_an_old
         if not line[:1].isdigit() or not 36.0 <= drive_s(int(line.split(",")[0])) < 42.0
     ]
     path.write_text("".join(kept))
-    drive_said = driven(drive, tmp_path)
-    said = words(drive_said.recorded)
-    inside = {word for time_s, word in said.items() if 36.4 <= time_s < 42.0}
+    replayed = driven(drive, tmp_path)
+    output = verdict_by_time(replayed.recorded)
+    inside = {verdict for time_s, verdict in output.items() if 36.4 <= time_s < 42.0}
     assert inside == {"unknown"}
-    assert "pose_stale" in reasons(drive_said)
-    assert np.mean([word == "confirmed" for time_s, word in said.items() if time_s > 44.0]) > 0.9
-    assert drive_said.summary["confirmed"]["wrong"] == 0
+    assert "pose_stale" in reasons(replayed)
+    assert np.mean([verdict == "confirmed" for time_s, verdict in output.items() if time_s > 44.0]) > 0.9
+    assert replayed.summary["confirmed"]["wrong"] == 0

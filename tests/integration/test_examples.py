@@ -14,7 +14,7 @@ from support.running import endpoint_of, free_port, kill, process_ids, started, 
 CONSUMER = Path(__file__).parents[2] / "examples" / "consumer.py"
 USABLE = re.compile(r"3[45]\.\d{8} 13[67]\.\d{8} within \d+\.\d\d m by (rtk|sensors)")
 ANY_LEVEL = ("--set", "alert_limit_m=50")
-"""Without a LiDAR the levels of so short a drive are metres: what matters here is who is heard."""
+"""Without a LiDAR the levels of so short a drive are metres: what matters here is which messages arrive."""
 SILENCE = "unknown (nothing new: the last position is too old)"
 
 
@@ -97,7 +97,7 @@ def test_a_consumer_stops_trusting_the_last_position_when_the_judge_is_gone(tmp_
             consumer.wait(10.0)
 
 
-def test_a_consumer_says_unknown_before_it_has_heard_anything(tmp_path):
+def test_a_consumer_prints_unknown_before_the_first_message(tmp_path):
     printed = tmp_path / "consumer.txt"
     with (
         printed.open("w") as file,
@@ -110,7 +110,7 @@ def test_a_consumer_says_unknown_before_it_has_heard_anything(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "named"),
+    ("arguments", "named"),
     [
         (["--vehicle", "a b"], "vehicle: "),
         (["--vehicle", ""], "vehicle: "),
@@ -118,11 +118,11 @@ def test_a_consumer_says_unknown_before_it_has_heard_anything(tmp_path):
         (["--connect", "tls/router:7447"], "tls_ca"),
     ],
 )
-def test_a_consumer_told_wrongly_says_so_in_one_line(words, named):
-    with started(CONSUMER, *words) as consumer:
-        said, _ = consumer.communicate(timeout=30.0)
-    line = said.splitlines()[-1]
+def test_a_wrong_argument_of_a_consumer_is_one_line(arguments, named):
+    with started(CONSUMER, *arguments) as consumer:
+        output, _ = consumer.communicate(timeout=30.0)
+    line = output.splitlines()[-1]
     assert consumer.returncode != 0
     assert line.startswith("consumer.py: ")
     assert named in line
-    assert "Traceback" not in said
+    assert "Traceback" not in output

@@ -42,7 +42,7 @@ AGE_S = {
     "antenna_height": BY_NAME["antenna_height"].max_age_s,
     "integrity": 0.0,
 }
-"""For how long a verdict may rest on what a service has said last."""
+"""For how long a verdict may rest on the last message of a service."""
 
 SLOW_CONSUMER = """
 import sys, time
@@ -96,9 +96,13 @@ def promised(here: Here) -> Iterator[None]:
 
 
 def trusted_of(witness: Witness, from_s: float, after_ns: int, before_ns: int) -> list[Verdict]:
-    """Verdicts said since, that pass on a fix measured in that time."""
+    """Trusted verdicts since then, on fixes measured in that time."""
     verdicts = witness.messages(Verdict, from_s)
-    return [said for said in verdicts if said.verdict in TRUSTED and after_ns < said.time_ns < before_ns]
+    return [
+        verdict
+        for verdict in verdicts
+        if verdict.verdict in TRUSTED and after_ns < verdict.time_ns < before_ns
+    ]
 
 
 @dataclass
@@ -160,7 +164,7 @@ def test_router_killed(here: Here) -> None:
     back_s, back_ns = time.monotonic(), now_ns()
     here.vehicle.start("router")
     after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
-    # What was measured while nobody could hear of it is never said later as if it were new.
+    # Measurements of the time without a bus are never published later as if they were new.
     assert trusted_of(here.witness, began_s, gone_ns + _NS, back_ns - _NS) == []
     measured("router killed", confirmed_after_start_s=after_s)
 
@@ -176,7 +180,7 @@ def test_a_consumer_that_does_not_keep_up_holds_up_nobody_else(here: Here) -> No
 
     with started("-c", SLOW_CONSUMER, here.vehicle.endpoint) as consumer:
         assert consumer.stdout is not None
-        assert consumer.stdout.readline(), "it has not heard anything"
+        assert consumer.stdout.readline(), "it has received nothing"
         thread = threading.Thread(target=much)
         thread.start()
         try:
@@ -246,4 +250,4 @@ def met(here: Here, service: str, verdict_counts: tuple[str, ...]) -> bool:
     """Does the service say something of the kind?"""
     health = here.vehicle.health(service)
     issues = [] if health is None else [f"{issue.code} {issue.text}" for issue in health.issues]
-    return any(word in issue for word in verdict_counts for issue in issues)
+    return any(name in issue for name in verdict_counts for issue in issues)

@@ -43,8 +43,8 @@ class Uploads:
         processes.start("uploads", "-m", "support.paced_uploads", endpoint, self.folder, RATE_HZ)
 
     def acknowledged(self) -> int:
-        said = paced_uploads.progress(self.folder)
-        return said["put"] - said["waiting"]
+        counts = paced_uploads.progress(self.folder)
+        return counts["put"] - counts["waiting"]
 
     def flow(self) -> float:
         """Seconds until all that had been handed over by now is acknowledged."""
@@ -65,10 +65,10 @@ class Uploads:
         """Once each: all."""
         (self.folder / "enough").touch()
         self.processes.running["uploads"].wait(LIMIT_S)
-        said = paced_uploads.progress(self.folder)
-        assert (said["waiting"], said["dead"]) == (0, 0)
-        assert sorted(self.stored()) == sorted(f"u{n}" for n in range(said["put"]))
-        measured(fault, for_s=AWAY_S, all_in_the_cloud_after_s=after_s, uploads=said["put"])
+        counts = paced_uploads.progress(self.folder)
+        assert (counts["waiting"], counts["dead"]) == (0, 0)
+        assert sorted(self.stored()) == sorted(f"u{n}" for n in range(counts["put"]))
+        measured(fault, for_s=AWAY_S, all_in_the_cloud_after_s=after_s, uploads=counts["put"])
 
 
 @pytest.fixture
@@ -188,7 +188,9 @@ def test_a_certificate_that_has_expired(processes: Processes) -> None:
     uploads.stand_still()
     wait_until(fleet.bus_in_the_vehicle_works, timeout_s=LIMIT_S, why="no bus in the vehicle")
     wait_until(
-        lambda: "expired" in processes.log("vehicle").read_text(), timeout_s=LIMIT_S, why="it is not told"
+        lambda: "expired" in processes.log("vehicle").read_text(),
+        timeout_s=LIMIT_S,
+        why="expiry is not logged",
     )
     fleet.renew()
     uploads.finish("vehicle's certificate expired", uploads.flow())

@@ -204,9 +204,9 @@ def test_in_the_end_the_cloud_holds_every_upload_once(here: Here) -> None:
     (here.uploads / "enough").touch()
     here.vehicle.running["uploads"].wait(LIMIT_S)
     del here.vehicle.running["uploads"]
-    said = paced_uploads.progress(here.uploads)
-    assert (said["waiting"], said["dead"]) == (0, 0)
+    counts = paced_uploads.progress(here.uploads)
+    assert (counts["waiting"], counts["dead"]) == (0, 0)
     stored = [upload_id for upload_id in stored_ids(here) if upload_id.startswith("u")]
-    assert sorted(stored) == sorted(f"u{n}" for n in range(said["put"]))
-    assert said["put"] > 100
-    measured("uploads through all that", handed_over=said["put"], stored_once=len(stored))
+    assert sorted(stored) == sorted(f"u{n}" for n in range(counts["put"]))
+    assert counts["put"] > 100
+    measured("uploads through all that", handed_over=counts["put"], stored_once=len(stored))

@@ -38,7 +38,7 @@ class Chain:
         """The first fix that is wanted; every one before that calls itself fixed must be right as well."""
         with Subscription("fix", vehicle="car", connect=[self.gnss.endpoint]) as listener:
 
-            def heard() -> Fix | None:
+            def wanted_fix() -> Fix | None:
                 fix = listener.next(0.5)
                 if fix is None:
                     return None
@@ -46,8 +46,8 @@ class Chain:
                     assert self.drive.error_m(fix) < RIGHT_M
                 return fix if wanted(fix) else None
 
-            found: Fix = wait_until(heard, timeout_s=PATIENCE_S, why=why)
-            return found
+            first: Fix = wait_until(wanted_fix, timeout_s=PATIENCE_S, why=why)
+            return first
 
     def until_fixed(self) -> Fix:
         return self.until(lambda fix: fix.quality == "fixed", f"no fix; {self.gnss.issues()}")
@@ -99,14 +99,14 @@ def test_fixes_and_velocities_come_and_are_right(chain: Chain) -> None:
     assert chain.gnss.health().status == "ok"
 
 
-def test_a_receiver_whose_line_was_cut_is_heard_again(chain: Chain) -> None:
+def test_a_receiver_is_read_again_after_its_line_was_cut(chain: Chain) -> None:
     chain.until_fixed()
     chain.rover.cut()
     chain.until_lost(f"tcp:127.0.0.1:{chain.rover.number}: the other side closed the connection")
     chain.until_fixed()
 
 
-def test_a_caster_that_is_restarted_is_found_and_until_then_the_fixes_stop(chain: Chain) -> None:
+def test_fixes_stop_until_a_restarted_caster_is_back(chain: Chain) -> None:
     chain.until_fixed()
     chain.put_caster_away()
     chain.until_lost("/BASE: ")
@@ -139,7 +139,7 @@ def test_a_slow_caster_makes_corrections_old_and_no_fix_wrong(chain: Chain) -> N
     )
 
 
-def test_a_base_that_falls_silent_is_named_and_heard_again(chain: Chain) -> None:
+def test_a_silent_base_is_named_and_used_again(chain: Chain) -> None:
     chain.base.silent = True
     try:
         chain.until_lost("silent for 2 s")

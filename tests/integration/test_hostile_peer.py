@@ -1,6 +1,6 @@
 """A peer that says nothing but what is malformed, to every input of every service, while a vehicle drives.
 
-Access rules keep strangers off the bus (docs/security.md); here somebody is on it. Twenty thousand messages; a million
+Access rules keep unknown peers off the bus (docs/security.md); here one is on it. Twenty thousand messages; a million
 is `make hostile`.
 """
 
@@ -41,14 +41,14 @@ def peer(endpoint: str, count: int, rate_hz: float, *more: str):
         yield process
 
 
-def said_by(process) -> Counter[str]:
-    """What the peer has said, by kind, when it has ended."""
+def sent_by(process) -> Counter[str]:
+    """Number of messages the peer has sent, by kind, once it has ended."""
     output, _ = process.communicate(timeout=300.0)
     assert process.returncode == 0, output
     return Counter(json.loads(output.splitlines()[-1])["kinds"])
 
 
-def test_every_input_and_every_question_is_attacked_in_every_way():
+def test_every_input_and_query_is_attacked_by_every_kind():
     made = list(malformed("demo", 1_400_000_000_000_000_000, SEED, of_each=1))
     keys = {item.key for item in made}
     expected = {c.key_for("demo") for c in channels() if "{service}" not in c.key}
@@ -66,39 +66,39 @@ def replay(manifest: Path, out: Path, speed: object):
 
 
 def verdicts(out: Path) -> list[bytes]:
-    """The bytes of what the judge has said; the peer never names itself so."""
-    found = []
+    """The bytes of the verdicts of the judge; the peer never uses that source name."""
+    verdicts = []
     for data in payloads(out)[BY_NAME["verdict"].key_for("demo")]:
         try:
             source = decode(Verdict, data).source
         except DecodeError:
             continue
         if source == "integrity":
-            found.append(data)
-    return found
+            verdicts.append(data)
+    return verdicts
 
 
-def test_a_replay_gives_the_same_bytes_beside_a_peer_that_says_malformed_things(tmp_path):
+def test_a_peer_with_malformed_messages_does_not_change_a_replay(tmp_path):
     manifest = write_drive(tmp_path / "drive")
     with replay(manifest, tmp_path / "alone", "max") as alone:
         output, _ = alone.communicate(timeout=300.0)
         assert alone.returncode == 0, output
-    out = tmp_path / "beside"
-    with replay(manifest, out, 1) as beside:
+    out = tmp_path / "attacked"
+    with replay(manifest, out, 1) as attacked:
         wait_until(lambda: process_ids(out), timeout_s=180.0, why="no services were started")
         with peer(endpoint_of(out), COUNT, 2 * RATE_HZ, "replayed") as hostile:
             services = process_ids(out)
-            output, _ = beside.communicate(timeout=300.0)
+            output, _ = attacked.communicate(timeout=300.0)
             hostile.terminate()
-    # The peer's words are in the recording too, and whoever sums it up refuses those of no version that it knows.
-    assert beside.returncode == 0 or "a schema that this version does not know" in output, output
+    # The peer's messages are in the recording too; the evaluation refuses those of an unknown version.
+    assert attacked.returncode == 0 or "a schema that this version does not know" in output, output
     assert process_ids(out) == services, "a service has died and was started again"
     usual = verdicts(tmp_path / "alone")
     assert verdicts(out) == usual
     assert len(usual) >= REPLAY_S * 5
     assert summary_of(tmp_path / "alone")["confirmed"]["wrong"] == 0
-    said_on_it = payloads(out)[BY_NAME["verdict"].key_for("demo")]
-    assert len(said_on_it) > len(usual) + 20, "the peer was not heard"
+    messages = payloads(out)[BY_NAME["verdict"].key_for("demo")]
+    assert len(messages) > len(usual) + 20, "no message of the peer arrived"
 
 
 def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path):
@@ -109,7 +109,7 @@ def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path
         with peer(vehicle.endpoint, COUNT, RATE_HZ) as hostile:
             witness.wait_for_trust(time.monotonic(), timeout_s=180.0)
             assert hostile.poll() is None, "the peer was over before anything was confirmed"
-            kinds = said_by(hostile)
+            kinds = sent_by(hostile)
         ended_s, ended_ns = time.monotonic(), now_ns()
         after_s = witness.wait_for_trust(ended_s, timeout_s=180.0, dated_after_ns=ended_ns)
         verdict_counts = witness.verdict_counts(began_s)
@@ -122,5 +122,5 @@ def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path
     grown = {name: after[name].uss_mb - before[name].uss_mb for name in after}
     assert max(grown.values()) < MOST_MB, grown
     measured(
-        "hostile peer", said=sum(kinds.values()), confirmed_after_s=after_s, memory_mb=max(grown.values())
+        "hostile peer", sent=sum(kinds.values()), confirmed_after_s=after_s, memory_mb=max(grown.values())
     )

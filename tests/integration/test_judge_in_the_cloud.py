@@ -26,9 +26,9 @@ DELAY_S = 0.1
 DURATION_S = 12.0
 ATTEMPTS = 4
 STALL_S = 0.02
-"""Where this machine lets a thread wait for longer, what was said of one epoch may be heard too late to be judged."""
+"""If this machine delays a thread for longer, inputs of an epoch may arrive too late to be used."""
 CLOCK = SystemClock()
-SAID_BY = {"motion": "vehicle", "antenna_height": "antenna_height", "pose": "localizer"}
+PUBLISHED_BY = {"motion": "vehicle", "antenna_height": "antenna_height", "pose": "localizer"}
 
 
 def client(endpoint: str, vehicle: str) -> ServiceSettings:
@@ -65,7 +65,7 @@ class Vehicle:
                     )
 
     def say(self, name, message) -> None:
-        self.buses[SAID_BY.get(name, "gnss")].publish(name, message)
+        self.buses[PUBLISHED_BY.get(name, "gnss")].publish(name, message)
 
     def close(self) -> None:
         self.ended.set()
@@ -108,7 +108,7 @@ class Stalls(threading.Thread):
             self.longest_s = max(self.longest_s, time.monotonic() - began - 0.01)
 
 
-def played(said: list) -> tuple[dict[str, Verdicts], float]:
+def played(inputs: list) -> tuple[dict[str, Verdicts], float]:
     """Each judge's verdicts on what was recorded, and for how long this machine stalled."""
     ports = {"vehicle": free_port(), "cloud": free_port()}
     near, far = (f"tcp/127.0.0.1:{ports[place]}" for place in ("vehicle", "cloud"))
@@ -121,46 +121,46 @@ def played(said: list) -> tuple[dict[str, Verdicts], float]:
         stack.enter_context(started("-m", "camber.cli", *beyond))
         for name, (endpoint, delay_s) in judges.items():
             bus = ["--zenoh.mode", "client", "--zenoh.connect", f'["{endpoint}"]']
-            own = ["--vehicle", name, "--link-delay-s", str(delay_s)]
-            stack.enter_context(started("-m", "camber.cli", "integrity", *own, *bus))
-        vehicles, heard = {}, {}
+            options = ["--vehicle", name, "--link-delay-s", str(delay_s)]
+            stack.enter_context(started("-m", "camber.cli", "integrity", *options, *bus))
+        vehicles, verdicts = {}, {}
         for name in judges:
             vehicles[name] = Vehicle(name, near)
             stack.callback(vehicles[name].close)
-            heard[name] = Verdicts(name, near)
-            heard[name].start()
+            verdicts[name] = Verdicts(name, near)
+            verdicts[name].start()
             wait_until(
                 lambda bus=vehicles[name].buses["gnss"]: bus.is_alive("integrity"),
                 timeout_s=60.0,
                 why=f"no judge {name}",
             )
         # The first of each channel opens its way; too old to be taken.
-        for name, message in {name: message for _, name, message in said}.items():
+        for name, message in {name: message for _, name, message in inputs}.items():
             for vehicle in vehicles.values():
                 vehicle.say(name, message.model_copy(update={"time_ns": CLOCK.now_ns() - 10_000_000_000}))
         time.sleep(1.0)
         stalls.start()
         begin_ns, began = CLOCK.now_ns(), time.monotonic()
-        shift_ns = begin_ns - min(message.time_ns for _, _, message in said)
-        for at_s, name, message in said:
+        shift_ns = begin_ns - min(message.time_ns for _, _, message in inputs)
+        for at_s, name, message in inputs:
             time.sleep(max(began + at_s - time.monotonic(), 0.0))
             dated = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
             for vehicle in vehicles.values():
                 vehicle.say(name, dated)
         time.sleep(1.0)
-        for one in (stalls, *heard.values()):
+        for one in (stalls, *verdicts.values()):
             one.ended.set()
             one.join()
-    return heard, stalls.longest_s
+    return verdicts, stalls.longest_s
 
 
 def test_a_link_of_100_ms_costs_the_judge_nothing_but_time(tmp_path: Path) -> None:
-    said = recorded_inputs(tmp_path, DURATION_S)
-    fixes = [message.fix_id for _, name, message in said if name == "fix"]
+    inputs = recorded_inputs(tmp_path, DURATION_S)
+    fixes = [message.fix_id for _, name, message in inputs if name == "fix"]
     for _ in range(ATTEMPTS):
-        heard, stalled_s = played(said)
-        there, away = (heard[name].of_fix for name in ("in_vehicle", "in_cloud"))
-        late = {name: float(np.median(one.after_s)) for name, one in heard.items()}
+        verdicts, stalled_s = played(inputs)
+        there, away = (verdicts[name].of_fix for name in ("in_vehicle", "in_cloud"))
+        late = {name: float(np.median(one.after_s)) for name, one in verdicts.items()}
         print(f"after the fix: {late}, this machine stalled for {stalled_s:.3f} s")
         if sorted(there) == sorted(away) == sorted(fixes) and all(
             outcome(away[k]) == outcome(there[k]) for k in fixes

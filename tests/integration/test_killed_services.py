@@ -53,7 +53,7 @@ def right_for(from_s: float, length_s: float) -> bool:
 
 
 def drive_without_given_pose(folder: Path) -> Path:
-    """So that a localizer that returns has to start from what it hears, as it would on the road."""
+    """Makes a localizer that returns start from fixes, as on the road."""
     manifest = write_short_drive(folder)
     text = manifest.read_text()
     head, _, _ = text.partition("[initial_pose]")
@@ -64,7 +64,7 @@ def drive_without_given_pose(folder: Path) -> Path:
 @dataclass
 class Kill:
     service: str
-    last_heard_s: float
+    last_message_s: float
 
 
 class Saboteur:
@@ -86,7 +86,7 @@ class Saboteur:
             wait_until(lambda: process_ids(self.out)[service] != pid, timeout_s=60.0, why="not started again")
 
     def keep_away_until_the_judge_says_so(self, service: str, pid: int) -> None:
-        """It may be back before what it said last is too old: then it is killed again."""
+        """It may be back before its last message is too old: then it is killed again."""
         since = time.monotonic()
         while self.next_verdict().reason != REASON[service]:
             now = process_ids(self.out)[service]
@@ -95,7 +95,7 @@ class Saboteur:
                 pid, since = now, time.monotonic()
 
     def wait_for_good_time(self, from_s: float, right_s: float) -> float:
-        """Fixes are right for so long that what the service said last is too old while they are."""
+        """Fixes are right for longer than the age limit of the last message of the service."""
         confirmed = 0
         while True:
             verdict = self.next_verdict()
@@ -148,12 +148,12 @@ def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_whe
 
 
 def check_outage(event: Kill, verdicts) -> None:
-    after = [v for v in verdicts if drive_s(v.time_ns) > event.last_heard_s + EPOCH_S]
+    after = [v for v in verdicts if drive_s(v.time_ns) > event.last_message_s + EPOCH_S]
     assert right_epochs_to_return(event, verdicts) <= RETURN_S * RATE_HZ
     if event.service not in REASON:
         return
     outage = [v for v in after if drive_s(v.time_ns) <= away(event, verdicts)[1]]
-    too_old_s = event.last_heard_s + EPOCH_S + OLDEST_S[event.service]
+    too_old_s = event.last_message_s + EPOCH_S + OLDEST_S[event.service]
     for verdict in outage:
         if drive_s(verdict.time_ns) > too_old_s:
             assert verdict.verdict == "unknown", (event, drive_s(verdict.time_ns), verdict)
@@ -164,12 +164,12 @@ def check_outage(event: Kill, verdicts) -> None:
 
 def away(event: Kill, verdicts) -> tuple[float, float]:
     """From when to when the judge missed a service; for others, the time without a verdict, or none at all."""
-    times = [drive_s(v.time_ns) for v in verdicts if drive_s(v.time_ns) >= event.last_heard_s]
+    times = [drive_s(v.time_ns) for v in verdicts if drive_s(v.time_ns) >= event.last_message_s]
     if event.service in REASON:
         missed = [drive_s(v.time_ns) for v in verdicts if v.reason == REASON[event.service]]
         return min(missed), max(missed)
     gaps = [(a, b) for a, b in pairwise(times) if b - a > 2.0 * EPOCH_S]
-    return gaps[0] if gaps and event.service == "integrity" else (event.last_heard_s, event.last_heard_s)
+    return gaps[0] if gaps and event.service == "integrity" else (event.last_message_s, event.last_message_s)
 
 
 def right_epochs_to_return(event: Kill, verdicts) -> int:
@@ -181,7 +181,7 @@ def right_epochs_to_return(event: Kill, verdicts) -> int:
 
 
 @pytest.mark.slow
-def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
+def test_a_replay_goes_on_without_a_frozen_service_until_it_resumes(tmp_path):
     drive = drive_without_given_pose(tmp_path / "drive")
     out = tmp_path / "out"
     with (
@@ -205,7 +205,7 @@ def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
         frozen_s = saboteur.wait_for_good_time(8.0, 3.5)
         pid = process_ids(out)["antenna_height"]
         kill(pid, signal.SIGSTOP)
-        # Its links stay open: only the end of its lease tells the others, and nothing is judged until then.
+        # Its links stay open: only the end of its lease shows it to the others, and nothing is judged until then.
         # Afterwards the replay makes up for the time it stood, to some 70 s of the drive.
         began = time.monotonic()
         while saboteur.next_verdict(timeout_s=60.0).reason != "antenna_height_absent":

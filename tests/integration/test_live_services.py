@@ -62,7 +62,7 @@ def epoch(height_error_m: float = 0.0) -> bytes:
 
 
 class Receiver(threading.Thread):
-    """A receiver that serves NMEA over TCP, to whoever is connected."""
+    """A receiver that serves NMEA over TCP to all that connect."""
 
     def __init__(self, port: int = 0) -> None:
         super().__init__(daemon=True)
@@ -116,7 +116,7 @@ class Vehicle:
     def write_configs(self) -> None:
         write_short_drive(self.folder / "drive")
         pose = tomllib.loads((self.folder / "drive" / "drive.toml").read_text())["initial_pose"]
-        own = {
+        usual = {
             "gnss": f'source = "tcp:127.0.0.1:{self.receiver.port}"\nprotocol = "nmea"\n',
             "map_server": f'release = "{self.folder / "drive" / "map"}"\n',
             "localizer": "[initial_pose]\n" + "".join(f"{key} = {value}\n" for key, value in pose.items()),
@@ -125,7 +125,7 @@ class Vehicle:
         for name in SERVICES:
             common = f'vehicle = "car"\nstate_dir = "{self.folder / "state" / name}"\n'
             bus = f'[zenoh]\nmode = "client"\nconnect = ["{self.endpoint}"]\n'
-            self.config(name).write_text(common + own.get(name, "") + bus)
+            self.config(name).write_text(common + usual.get(name, "") + bus)
 
     def config(self, name: str) -> Path:
         return self.folder / f"{name}.toml"
@@ -172,12 +172,12 @@ def vehicle(tmp_path_factory):
         yield car
 
 
-def wait_for(listener: Subscription, word: str, *, timeout_s: float):
-    def heard():
+def wait_for(listener: Subscription, kind: str, *, timeout_s: float):
+    def wanted():
         verdict = listener.next(0.5)
-        return verdict if verdict is not None and verdict.verdict == word else None
+        return verdict if verdict is not None and verdict.verdict == kind else None
 
-    return wait_until(heard, timeout_s=timeout_s, why=f"no verdict {word}")
+    return wait_until(wanted, timeout_s=timeout_s, why=f"no verdict {kind}")
 
 
 def test_a_right_position_is_confirmed_and_a_wrong_one_is_not(vehicle):
@@ -187,14 +187,14 @@ def test_a_right_position_is_confirmed_and_a_wrong_one_is_not(vehicle):
         vehicle.receiver.height_error_m = 1.0
         try:
             wait_for(OnlyVerdicts(listener), "erroneous", timeout_s=10.0)
-            words = {
+            lines = {
                 verdict.verdict
                 for verdict in (OnlyVerdicts(listener).next(1.0) for _ in range(20))
                 if verdict
             }
         finally:
             vehicle.receiver.height_error_m = 0.0
-        assert words == {"erroneous"}
+        assert lines == {"erroneous"}
         wait_for(OnlyVerdicts(listener), "confirmed", timeout_s=10.0)
 
 
@@ -229,16 +229,16 @@ def test_a_frozen_localizer_makes_the_judge_say_unknown_within_the_age_limit_of_
     pid = vehicle.processes["localizer"].pid
     with vehicle.listen("pose", "verdict") as listener:
         wait_for(OnlyVerdicts(listener), "confirmed", timeout_s=10.0)
-        heard = [listener.next(0.5) for _ in range(10)]
+        received = [listener.next(0.5) for _ in range(10)]
         kill(pid, signal.SIGSTOP)
         try:
             deadline = time.monotonic() + 1.5
             while time.monotonic() < deadline:
-                heard.append(listener.next(0.2))
+                received.append(listener.next(0.2))
         finally:
             kill(pid, signal.SIGCONT)
-        last_pose_ns = max(m.time_ns for m in heard if m is not None and not hasattr(m, "verdict"))
-        verdicts = [m for m in heard if m is not None and hasattr(m, "verdict")]
+        last_pose_ns = max(m.time_ns for m in received if m is not None and not hasattr(m, "verdict"))
+        verdicts = [m for m in received if m is not None and hasattr(m, "verdict")]
         late = [v for v in verdicts if v.time_ns > last_pose_ns + limit_s * _NS]
         assert len(late) >= 5
         assert {(v.verdict, v.reason) for v in late} == {("unknown", "pose_stale")}
@@ -286,11 +286,11 @@ def test_a_receiver_on_a_serial_line_is_read(vehicle, tmp_path):
             Subscription("fix", vehicle="tram", connect=[vehicle.endpoint]) as listener,
         ):
 
-            def heard():
+            def wanted():
                 os.write(ours, epoch())
                 return listener.next(PERIOD_S)
 
-            fix = wait_until(heard, timeout_s=15.0, why="no fix from the serial line")
+            fix = wait_until(wanted, timeout_s=15.0, why="no fix from the serial line")
     finally:
         os.close(ours)
         os.close(theirs)

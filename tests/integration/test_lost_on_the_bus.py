@@ -1,4 +1,4 @@
-"""What the barrier of a replay says may be lost on a bus that is just coming up: it is said again.
+"""Messages of the barrier of a replay may be lost while the bus comes up: they are repeated.
 
 Four services that only pass on what they have seen, over real sessions, in threads of this process; one tick or one
 *done* does not arrive. What each of them publishes depends on all that it was handed and in which order.
@@ -82,15 +82,15 @@ class Lossy(LockStepBus):
         if item is None or self.loss is None:
             return item
         if name == "tick" or name.startswith("done."):
-            return None if self.loss.takes(said(item.data)) else item
+            return None if self.loss.takes(published(item.data)) else item
         return (
             item._replace(attachment=None)
-            if item.attachment and self.loss.takes(said(item.attachment))
+            if item.attachment and self.loss.takes(published(item.attachment))
             else item
         )
 
 
-def said(data):
+def published(data):
     """Sender and index of a tick or a done."""
     try:
         tick = decode(Tick, data).message
@@ -170,7 +170,7 @@ def undisturbed(endpoint):
         pytest.param("antenna_height", FEEDER, 7, id="a tick, the next one arrives"),
     ],
 )
-def test_what_was_lost_is_said_again_and_the_bytes_are_the_same(
+def test_lost_messages_are_repeated_and_the_bytes_are_the_same(
     endpoint, undisturbed, monkeypatch, receiver, sender, index
 ):
     monkeypatch.setattr(feeding, "RESEND_S", 0.3)

@@ -65,7 +65,7 @@ class Cloud(Service):
 
     def __init__(self, settings, bus):
         super().__init__(settings, bus)
-        self.serving, self.said = ReleaseServer(settings.releases), None
+        self.serving, self.answers = ReleaseServer(settings.releases), None
 
     def answers(self):
         answers = self.serving.answers(self.bus.now_ns)
@@ -79,8 +79,8 @@ class Cloud(Service):
 
     def advance(self, now_ns):
         head = self.serving.head(time_ns=now_ns)
-        if head.map_version != self.said:
-            self.said = head.map_version
+        if head.map_version != self.answers:
+            self.answers = head.map_version
             self.bus.publish("release", head)
 
 
@@ -129,8 +129,8 @@ class World:
             **settings,
         }
         given = [(f"--{name}", value) for name, value in options.items() if value is not None]
-        words = [word for pair in given for word in pair if word != ""]
-        self.vehicle = self.start("-m", "camber.map_server", *self.common(), *words)
+        options = [part for pair in given for part in pair if part != ""]
+        self.vehicle = self.start("-m", "camber.map_server", *self.common(), *options)
 
     def common(self) -> list[object]:
         path = self.folder / "common.toml"
@@ -175,11 +175,11 @@ class QueryClient:
     def __init__(self, settings: ServiceSettings, rate_hz: float) -> None:
         self.asked = 0
         self.failed: list[str] = []
-        self.said: list[tuple[int, int, float]] = []  # surface, version, elevation
+        self.answers: list[tuple[int, int, float]] = []  # surface, version, elevation
         self._settings, self._rate_hz = settings, rate_hz
 
     def ask_until(self, enough: Callable[[float], bool]) -> None:
-        """Until what was said is enough; asked all the time, with the seconds that have passed."""
+        """Ask until the answers suffice; `enough` gets the seconds that have passed."""
         key = BY_NAME["elevation"].key_for("car")
         points = [at(STEP_M * k, 0.0) for k in range(SURFACES)]
         now_ns = SystemClock().now_ns()
@@ -196,13 +196,13 @@ class QueryClient:
             if road.status != "known" or road.elevation_m is None or road.surface_id is None:
                 self.failed.append(str(road.reason))
             else:
-                self.said.append((road.surface_id, road.map_version or 0, road.elevation_m))
+                self.answers.append((road.surface_id, road.map_version or 0, road.elevation_m))
 
         with open_session(self._settings.zenoh) as session:
             querier = session.declare_querier(key, timeout=5.0)
             begin = time.monotonic()
             while not enough(passed := time.monotonic() - begin):
-                waiting = self.asked - len(self.said) - len(self.failed)
+                waiting = self.asked - len(self.answers) - len(self.failed)
                 for _ in range(min(int(passed * self._rate_hz) - self.asked, 100 - waiting)):
                     querier.get(
                         answered,
@@ -212,7 +212,7 @@ class QueryClient:
                     self.asked += 1
                 time.sleep(0.002)
             wait_until(
-                lambda: len(self.said) + len(self.failed) >= self.asked, timeout_s=30.0, why="all answers"
+                lambda: len(self.answers) + len(self.failed) >= self.asked, timeout_s=30.0, why="all answers"
             )
 
 
@@ -235,7 +235,7 @@ def swaps(folder: Path, *, releases: int, rate_hz: float, every_s: float) -> dic
 
         def enough(passed_s: float) -> bool:
             assert passed_s < every_s * releases + 60.0, f"{releases} releases were not in use by then"
-            in_use = bool(asker.said) and asker.said[-1][1] == max(steps)
+            in_use = bool(asker.answers) and asker.answers[-1][1] == max(steps)
             if in_use and every_s * len(steps) < passed_s:
                 if len(steps) == releases:
                     return True
@@ -243,13 +243,13 @@ def swaps(folder: Path, *, releases: int, rate_hz: float, every_s: float) -> dic
             return False
 
         asker.ask_until(enough)
-        base_m = min(elevation for _, version, elevation in asker.said if version == 8)
-        mixed = [said for said in asker.said if abs(said[2] - base_m - steps[said[1]]) > 1e-3]
+        base_m = min(elevation for _, version, elevation in asker.answers if version == 8)
+        mixed = [answers for answers in asker.answers if abs(answers[2] - base_m - steps[answers[1]]) > 1e-3]
         return {
             "asked": asker.asked,
             "failed": asker.failed,
             "mixed": mixed,
-            "releases": sorted({version for _, version, _ in asker.said}),
+            "releases": sorted({version for _, version, _ in asker.answers}),
             "made": sorted(steps),
         }
 

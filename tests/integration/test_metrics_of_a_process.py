@@ -50,8 +50,8 @@ class Process:
         result = {}
         for family in text_string_to_metric_families(text):
             for sample in family.samples:
-                word = sample.labels.get("status") or sample.labels.get("event") or ""
-                result[f"{sample.name}{f'.{word}' if word else ''}"] = sample.value
+                label = sample.labels.get("status") or sample.labels.get("event") or ""
+                result[f"{sample.name}{f'.{label}' if label else ''}"] = sample.value
         return result
 
     def try_read(self) -> dict[str, float]:
@@ -109,7 +109,7 @@ def test_a_process_that_is_frozen_as_a_whole_answers_nothing(process: Process) -
     wait_until(lambda: process.try_read().get("camber_status.ok"), timeout_s=20.0, why="it answers again")
 
 
-def test_whoever_floods_the_port_does_not_stop_the_work_loop(process: Process) -> None:
+def test_flooding_the_port_does_not_stop_the_work_loop(process: Process) -> None:
     before = process.read()
     ends_s = time.monotonic() + 5.0
     slow: list[socket.socket] = []
@@ -136,6 +136,8 @@ def test_whoever_floods_the_port_does_not_stop_the_work_loop(process: Process) -
 def test_a_port_that_is_taken_is_a_problem_and_the_service_runs(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, running(tmp_path, taken.getsockname()[1]):
         wait_until(
-            lambda: "metrics_not_served" in (tmp_path / "log").read_text(), timeout_s=60.0, why="it is said"
+            lambda: "metrics_not_served" in (tmp_path / "log").read_text(),
+            timeout_s=60.0,
+            why="metrics_not_served is not logged",
         )
         wait_until(lambda: "started" in (tmp_path / "log").read_text(), timeout_s=60.0, why="it runs")

@@ -88,14 +88,14 @@ def sent(sender, *contributions, refused=None):
     """What became of each; the queue is asked again while it is not there."""
     queued = [QueuedContribution(c, refused) for c in contributions]
 
-    def heard():
+    def received():
         try:
             outcomes = sender.send(queued)
         except QueueError:
             return None
         return None if None in outcomes else [outcome.status for outcome in outcomes]
 
-    return wait_until(heard, timeout_s=30.0, why="no answer from the queue")
+    return wait_until(received, timeout_s=30.0, why="no answer from the queue")
 
 
 def test_what_is_sent_is_answered_after_its_commit_and_again_it_is_a_duplicate(server, tmp_path):

@@ -84,7 +84,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         with router(cloud_file(certificates, cloud, folder / "cloud.json5")):
             for hub, name in ((first, "car-1"), (second, "car-2")):
                 wait_until(
-                    lambda hub=hub: "accepted as" in hub.said, timeout_s=60.0, why=f"{name} is not heard"
+                    lambda hub=hub: "accepted as" in hub.output, timeout_s=60.0, why=f"{name} is not accepted"
                 )
             yield World(
                 certificates,
@@ -96,7 +96,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
             link.close()
 
 
-class Heard:
+class Received:
     """Counts by key what has come."""
 
     def __init__(self) -> None:
@@ -113,22 +113,22 @@ def test_a_vehicles_router_routes_before_there_is_a_cloud_and_says_so(tmp_path: 
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", tls_endpoint())
     settings = ZenohSettings(mode="client", connect=[inside])
     with router(file) as hub, open_session(settings) as one, open_session(settings) as two:
-        heard = Heard()
-        two.declare_subscriber("camber/v1/car-1/**", heard)
+        received = Received()
+        two.declare_subscriber("camber/v1/car-1/**", received)
         wait_until(
-            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or heard.keys,
+            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or received.keys,
             timeout_s=10.0,
             why="nothing came within",
         )
-        wait_until(lambda: "no link" in hub.said, timeout_s=30.0, why="nothing was said of the link")
+        wait_until(lambda: "no link" in hub.output, timeout_s=30.0, why="no message on the link")
 
 
-def test_a_peer_in_a_vehicle_is_told_of(world: World) -> None:
+def test_a_peer_in_a_vehicle_is_reported(world: World) -> None:
     with open_session(ZenohSettings(mode="peer", connect=[world.vehicle.endpoint])):
         wait_until(
-            lambda: 'need [zenoh] mode = "client"' in world.vehicle.router.said,
+            lambda: 'need [zenoh] mode = "client"' in world.vehicle.router.output,
             timeout_s=20.0,
-            why="nothing was said of a peer",
+            why="no message on a peer",
         )
 
 
@@ -136,7 +136,7 @@ def test_a_router_whose_certificate_is_in_no_list_says_so(world: World, tmp_path
     certificates, inside = world.certificates, f"tcp/{HOST}:{free_port()}"
     file = vehicle_file(certificates, "revoked", inside, tmp_path / "v.json5", world.cloud)
     with router(file) as hub:
-        wait_until(lambda: "not in its access list" in hub.said, timeout_s=60.0, why="it did not say so")
+        wait_until(lambda: "not in its access list" in hub.output, timeout_s=60.0, why="it did not say so")
     checked = camber("access", "check", file)
     assert (checked.returncode, checked.stderr.count("\n")) == (1, 1)
     assert "lets nothing pass that revoked says as revoked" in checked.stderr
@@ -150,7 +150,7 @@ def test_sweeps_stay_within_and_verdicts_cross(world: World) -> None:
         world.session("consumer") as consumer,
         world.session("cloud") as cloud,
     ):
-        within, outside, everything = Heard(), Heard(), Heard()
+        within, outside, everything = Received(), Received(), Received()
         localizer.declare_subscriber(f"{prefix}/vehicle/sweep", within)
         consumer.declare_subscriber("camber/v1/*/integrity/verdict", outside)
         # Even a cloud that wants all gets no more: the vehicle's own router has the rules, too.
@@ -181,16 +181,16 @@ def test_vehicles_do_not_see_each_other(world: World) -> None:
     with world.vehicle.session() as one, world.other.session() as two:
         token = one.liveliness().declare_token("camber/v1/car-1/integrity/alive")
         queryable = one.declare_queryable("camber/v1/car-1/integrity/health", lambda query: query.drop())
-        heard = Heard()
-        two.declare_subscriber("**", heard)
-        two.liveliness().declare_subscriber("camber/v1/**", heard, history=True)
+        received = Received()
+        two.declare_subscriber("**", received)
+        two.liveliness().declare_subscriber("camber/v1/**", received, history=True)
         for _ in range(5):
             one.put("camber/v1/car-1/integrity/verdict", b"v")
             one.put("camber/v1/car-1/integrity/position", b"p")
             one.put("camber/v1/fleet/release", b"forged")
             one.put("camber/v1/car-2/vehicle/motion", b"forged")
             time.sleep(0.1)
-        assert heard.keys == []
+        assert received.keys == []
         assert list(two.get("camber/v1/car-1/integrity/health", timeout=1.0)) == []
         assert list(two.liveliness().get("camber/v1/**", timeout=1.0)) == []
         assert [str(zid) for zid in two.info.peers_zid()] == []
@@ -198,7 +198,7 @@ def test_vehicles_do_not_see_each_other(world: World) -> None:
         queryable.undeclare()
 
 
-def test_an_upload_is_stored_in_its_own_name_and_refused_in_anothers(world: World, tmp_path: Path) -> None:
+def test_an_upload_is_stored_in_the_name_of_the_certificate_only(world: World, tmp_path: Path) -> None:
     tls = world.certificates.settings("map_update", world.cloud)
     config = tmp_path / "map_update.toml"
     config.write_text(
@@ -230,8 +230,8 @@ def test_an_upload_is_stored_in_its_own_name_and_refused_in_anothers(world: Worl
         assert '"refused.vehicle":1' in asked.stdout.replace(" ", "")
         assert "not_heard" not in asked.stdout
     log.close()
-    said = (tmp_path / "log").read_text()
-    assert (world.certificates.folder / "map_update.key").read_text().splitlines()[1] not in said
+    output = (tmp_path / "log").read_text()
+    assert (world.certificates.folder / "map_update.key").read_text().splitlines()[1] not in output
 
 
 def test_a_consumer_in_the_cloud_listens_with_its_certificate(world: World) -> None:
@@ -248,22 +248,22 @@ def test_a_consumer_in_the_cloud_listens_with_its_certificate(world: World) -> N
         assert listener.refused, "nothing came"
 
 
-def test_a_link_that_was_cut_is_found_again(world: World) -> None:
+def test_a_link_is_made_again_after_a_cut(world: World) -> None:
     prefix, link = "camber/v1/car-1", world.vehicle.link
     with world.vehicle.session() as judge, world.session("consumer") as consumer:
-        heard = Heard()
-        consumer.declare_subscriber(f"{prefix}/integrity/verdict", heard)
+        received = Received()
+        consumer.declare_subscriber(f"{prefix}/integrity/verdict", received)
         verdicts = judge.declare_publisher(f"{prefix}/integrity/verdict")
-        wait_until(lambda: verdicts.put(b"v") or heard.keys, timeout_s=10.0, why="no verdict has crossed")
+        wait_until(lambda: verdicts.put(b"v") or received.keys, timeout_s=10.0, why="no verdict has crossed")
         link.cut(True)
         time.sleep(3.0)
-        heard.keys.clear()
+        received.keys.clear()
         verdicts.put(b"lost")
         time.sleep(0.3)
-        assert heard.keys == []
+        assert received.keys == []
         link.cut(False)
         wait_until(
-            lambda: verdicts.put(b"v") or heard.keys, timeout_s=20.0, why="no verdict has crossed again"
+            lambda: verdicts.put(b"v") or received.keys, timeout_s=20.0, why="no verdict has crossed again"
         )
 
 
@@ -278,10 +278,14 @@ def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(t
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", first, second)
     with router(files[1]), router(file) as hub:
         with router(files[0]):
-            wait_until(lambda: "accepted as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
-            hear_a_verdict(certificates, second, inside, timeout_s=20.0, why="nothing came over two routers")
+            wait_until(lambda: "accepted as" in hub.output, timeout_s=60.0, why="the vehicle is not accepted")
+            receive_a_verdict(
+                certificates, second, inside, timeout_s=20.0, why="nothing came over two routers"
+            )
         # The first has gone; the vehicle takes the other.
-        hear_a_verdict(certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router")
+        receive_a_verdict(
+            certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router"
+        )
 
 
 def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(tmp_path: Path) -> None:
@@ -290,12 +294,12 @@ def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(t
     away, there, inside = tls_endpoint(), tls_endpoint(), f"unixsock-stream/{tmp_path}/bus.sock"
     cloud = cloud_file(certificates, there, tmp_path / "cloud.json5")
     with router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", away, there)) as hub:
-        wait_until(lambda: "no link" in hub.said, timeout_s=60.0, why="nobody was missed")
+        wait_until(lambda: "no link" in hub.output, timeout_s=60.0, why="nobody was missed")
         with router(cloud):
             wait_until(
-                lambda: "accepted as car-1" in hub.said, timeout_s=60.0, why="the second was not taken"
+                lambda: "accepted as car-1" in hub.output, timeout_s=60.0, why="the second was not taken"
             )
-            hear_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
+            receive_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
         assert hub.process.poll() is None
 
 
@@ -308,24 +312,28 @@ def test_a_link_over_quic_is_as_good_and_as_strict(tmp_path: Path) -> None:
         router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud)) as hub,
         router(revoked) as other,
     ):
-        wait_until(lambda: "accepted as car-1" in hub.said, timeout_s=60.0, why="car-1 is not heard")
-        hear_a_verdict(certificates, cloud, inside, timeout_s=20.0, why="no verdict has crossed")
-        wait_until(lambda: "lets nothing pass" in other.said, timeout_s=60.0, why="revoked is not told of it")
+        wait_until(lambda: "accepted as car-1" in hub.output, timeout_s=60.0, why="car-1 is not accepted")
+        receive_a_verdict(certificates, cloud, inside, timeout_s=20.0, why="no verdict has crossed")
+        wait_until(
+            lambda: "lets nothing pass" in other.output,
+            timeout_s=60.0,
+            why="the revoked vehicle logs nothing",
+        )
         foreign = certificates.settings("other authority", cloud)
         assert unchecked(foreign) is None
         assert unchecked(foreign.model_copy(update={"tls_certificate": None})) is None
 
 
-def hear_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:
-    """Of car-1, said inside it, at a router of the cloud."""
+def receive_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:
+    """Receive, at a router of the cloud, a verdict published inside car-1."""
     key = "camber/v1/car-1/integrity/verdict"
     with (
         joined(certificates.settings("consumer", cloud)) as consumer,
         open_session(ZenohSettings(mode="client", connect=[inside])) as judge,
     ):
-        heard = Heard()
-        consumer.declare_subscriber(key, heard)
-        wait_until(lambda: judge.put(key, b"v") or heard.keys, timeout_s=timeout_s, why=why)
+        received = Received()
+        consumer.declare_subscriber(key, received)
+        wait_until(lambda: judge.put(key, b"v") or received.keys, timeout_s=timeout_s, why=why)
 
 
 @pytest.mark.parametrize("wrong", ["missing", "damaged", "foreign key"])
@@ -344,32 +352,32 @@ def test_a_certificate_that_cannot_be_used_is_one_line_and_the_bus_within_goes_o
         key.write_bytes((certificates.folder / "car-2.key").read_bytes())
     settings = ZenohSettings(mode="client", connect=[inside])
     with router(file) as hub, open_session(settings) as one, open_session(settings) as two:
-        heard = Heard()
-        two.declare_subscriber("camber/v1/car-1/**", heard)
+        received = Received()
+        two.declare_subscriber("camber/v1/car-1/**", received)
         wait_until(
-            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or heard.keys,
+            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or received.keys,
             timeout_s=10.0,
             why="nothing came within",
         )
-        wait_until(lambda: str(key) in hub.said, timeout_s=10.0, why="nothing was said of the key")
-        assert hub.said.count("\n") == 2
-        assert secret not in hub.said
+        wait_until(lambda: str(key) in hub.output, timeout_s=10.0, why="no message on the key")
+        assert hub.output.count("\n") == 2
+        assert secret not in hub.output
     checked = camber("access", "check", file)
     assert (checked.returncode, checked.stderr.count("\n")) == (3, 1)
 
 
-def test_a_vehicle_whose_certificate_has_another_name_is_asked_for_by_its_own(tmp_path: Path) -> None:
+def test_a_vehicle_is_queried_by_its_name_if_its_certificate_has_another(tmp_path: Path) -> None:
     certificates, cloud = make_certificates(tmp_path), tls_endpoint()
     for end in ("pem", "key"):
         (certificates.folder / f"car-9.{end}").write_bytes(
-            (certificates.folder / f"stranger.{end}").read_bytes()
+            (certificates.folder / f"unlisted.{end}").read_bytes()
         )
-    words = ["cloud", "--vehicle", "car-9=stranger", "--listen", cloud, "--tls", str(certificates.folder)]
+    options = ["cloud", "--vehicle", "car-9=unlisted", "--listen", cloud, "--tls", str(certificates.folder)]
     made = tmp_path / "cloud.json5"
-    assert access.main([*words, "--out", str(made)]) == 0
+    assert access.main([*options, "--out", str(made)]) == 0
     file = vehicle_file(certificates, "car-9", f"tcp/{HOST}:{free_port()}", tmp_path / "v.json5", cloud)
     with router(made), router(file) as hub:
-        wait_until(lambda: "accepted as car-9" in hub.said, timeout_s=30.0, why="it is not heard")
+        wait_until(lambda: "accepted as car-9" in hub.output, timeout_s=30.0, why="it is not accepted")
         assert camber("access", "check", file).returncode == 0
 
 
@@ -380,7 +388,7 @@ def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(tmp_path
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud, more=to)
     prefix = "camber/v1/car-1"
     with router(cloud_file(certificates, cloud, tmp_path / "c.json5")), router(file) as hub:
-        wait_until(lambda: "accepted as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
+        wait_until(lambda: "accepted as" in hub.output, timeout_s=60.0, why="the vehicle is not accepted")
         with (
             joined(certificates.settings("judge", cloud)) as judge,
             joined(certificates.settings("consumer", cloud)) as consumer,
@@ -388,7 +396,7 @@ def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(tmp_path
         ):
             token = vehicle.liveliness().declare_token(f"{prefix}/gnss/alive")
             gnss = vehicle.declare_queryable(f"{prefix}/gnss/estimates", _answer)
-            alive, fixes, overheard, verdicts, there = (Heard() for _ in range(5))
+            alive, fixes, overheard, verdicts, there = (Received() for _ in range(5))
             judge.liveliness().declare_subscriber(f"{prefix}/*/alive", alive, history=True)
             judge.declare_subscriber(f"{prefix}/gnss/fix", fixes)
             consumer.declare_subscriber(f"{prefix}/gnss/fix", overheard)

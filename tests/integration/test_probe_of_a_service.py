@@ -40,7 +40,7 @@ def test_a_service_is_well_until_it_freezes(tmp_path: Path) -> None:
         )
         assert probed("router", settings) == (0, "router: ok")
         service.send_signal(signal.SIGSTOP)
-        code, said = probed("antenna_height", settings)
+        code, output = probed("antenna_height", settings)
         service.send_signal(signal.SIGCONT)
         assert code == 1
-        assert said.startswith("antenna_height: no answer: ")
+        assert output.startswith("antenna_height: no answer: ")

@@ -53,7 +53,7 @@ def joined(endpoint: str, service: str) -> Bus:
 
 
 class Driving(threading.Thread):
-    """Motion, fixes and sweeps, for as long as it is not told to end."""
+    """Motion, fixes and sweeps until it is stopped."""
 
     def __init__(self, endpoint: str, *, rate_hz: float = 50.0, points: int = 0) -> None:
         super().__init__(daemon=True)
@@ -141,14 +141,14 @@ def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
         wait_until(lambda: list((tmp_path / "out").glob("*.mcap")), timeout_s=30.0, why="it records")
         time.sleep(1.5)
         process.send_signal(number)
-        said, _ = process.communicate(timeout=30.0)
+        output, _ = process.communicate(timeout=30.0)
     assert process.returncode == 0
-    assert "0 dropped, 0 malformed" in said
-    found, errors = contents(tmp_path / "out")
+    assert "0 dropped, 0 malformed" in output
+    recorded, errors = contents(tmp_path / "out")
     assert errors == []
-    assert {item.channel for item in found} == {"motion", "fix"}
+    assert {item.channel for item in recorded} == {"motion", "fix"}
     for channel in ("motion", "fix"):
-        numbers = [item.sequence for item in found if item.channel == channel]
+        numbers = [item.sequence for item in recorded if item.channel == channel]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "none is missing, all in order"
         assert len(numbers) > 20
     (path,) = (tmp_path / "out").glob("*.mcap")
@@ -156,7 +156,7 @@ def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
         reader = make_reader(stream)
         read = [(schema, message) for schema, _, message in reader.iter_messages()]
         summary = reader.get_summary()
-    assert len(read) == len(found)
+    assert len(read) == len(recorded)
     assert summary is not None
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
     assert "wheel_speed_m_s" in schemas["camber.Motion.v1"]["properties"]
@@ -171,9 +171,9 @@ def test_without_a_router_a_signal_ends_it_at_once(tmp_path: Path, number: signa
         process = record(stack, f"tcp/127.0.0.1:{mute.getsockname()[1]}", tmp_path / "out")
         stack.enter_context(mute.accept()[0])  # it waits for the bus
         process.send_signal(number)
-        said, _ = process.communicate(timeout=10.0)
+        output, _ = process.communicate(timeout=10.0)
     assert process.returncode == -number
-    assert said == ""
+    assert output == ""
 
 
 def test_what_a_kill_leaves_can_be_read_to_its_last_whole_chunk_and_played(
@@ -186,9 +186,9 @@ def test_what_a_kill_leaves_can_be_read_to_its_last_whole_chunk_and_played(
         wait_until(lambda: has_bytes(out, 2_000_000), timeout_s=60.0, why="some chunks are written")
         process.kill()
         process.wait()
-    found, errors = contents(out)
-    assert len(found) > 20
-    assert {item.channel for item in found} == {"motion", "fix", "sweep"}
+    recorded, errors = contents(out)
+    assert len(recorded) > 20
+    assert {item.channel for item in recorded} == {"motion", "fix", "sweep"}
     assert len(errors) <= 1
     (path,) = out.glob("*.mcap")
     data = path.read_bytes()
@@ -221,12 +221,12 @@ def test_a_disk_that_takes_no_more_ends_the_recording_and_spoils_nothing(
     with ExitStack() as stack:
         process = record(stack, endpoint, tmp_path / "out", "--sweeps", preexec_fn=small_files)
         stack.enter_context(driving(endpoint, rate_hz=20.0, points=10_000))
-        said, _ = process.communicate(timeout=90.0)
+        output, _ = process.communicate(timeout=90.0)
     assert process.returncode == 1
-    assert "recording stopped: File too large" in said
-    assert "Traceback" not in said
-    found, _ = contents(tmp_path / "out")
-    assert len(found) > 10
+    assert "recording stopped: File too large" in output
+    assert "Traceback" not in output
+    recorded, _ = contents(tmp_path / "out")
+    assert len(recorded) > 10
 
 
 def test_files_follow_one_another_without_a_gap(endpoint: str, tmp_path: Path) -> None:
@@ -237,9 +237,9 @@ def test_files_follow_one_another_without_a_gap(endpoint: str, tmp_path: Path) -
         wait_until(lambda: len(list(out.glob("*.mcap"))) >= 3, timeout_s=60.0, why="there are three")
         process.terminate()
         assert process.wait(30.0) == 0
-    found, errors = contents(out)
+    recorded, errors = contents(out)
     assert errors == []
-    numbers = [item.sequence for item in found if item.channel == "fix"]
+    numbers = [item.sequence for item in recorded if item.channel == "fix"]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
@@ -262,22 +262,22 @@ def play(*arguments: object) -> list[str]:
 def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, recording: Path) -> None:
     time.sleep(1.0)  # what was recorded is older than any age limit
     before = [item for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
-    heard: list[Fix] = []
+    received: list[Fix] = []
     with (
         Subscription("fix", vehicle="other", connect=[endpoint]) as listener,
         started(*play(recording, "--connect", endpoint, "--vehicle", "other")) as process,
     ):
         while process.poll() is None:
             fix = listener.next(timeout_s=0.5)
-            heard += [] if fix is None else [fix]
-        said = process.stdout.read() if process.stdout else ""
+            received += [] if fix is None else [fix]
+        output = process.stdout.read() if process.stdout else ""
         assert listener.refused["undecodable"] == listener.refused["future"] == 0
         stale = listener.refused["stale"]
-    assert process.returncode == 0, said
-    assert len(heard) + stale == len(before)
-    assert len(heard) > len(before) / 2
-    assert all(fix.fix_id == fix.time_ns // 1_000_000 for fix in heard), "called by their new epochs"
-    assert {fix.time_ns - (fix.continuous_since_ns or 0) for fix in heard} == {10**9}
+    assert process.returncode == 0, output
+    assert len(received) + stale == len(before)
+    assert len(received) > len(before) / 2
+    assert all(fix.fix_id == fix.time_ns // 1_000_000 for fix in received), "called by their new epochs"
+    assert {fix.time_ns - (fix.continuous_since_ns or 0) for fix in received} == {10**9}
 
 
 def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recording: Path) -> None:
@@ -286,22 +286,22 @@ def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recordin
         with started(
             *play(recording, "--connect", endpoint, "--times", "recorded", "--speed", "20")
         ) as process:
-            heard = []
+            received = []
             while process.poll() is None:
                 fix = listener.next(timeout_s=0.5)
-                heard += [] if fix is None else [fix]
+                received += [] if fix is None else [fix]
         while (fix := listener.next(timeout_s=0.5)) is not None:
-            heard.append(fix)
+            received.append(fix)
         assert process.returncode == 0
         assert not listener.refused
-    assert heard == before
+    assert received == before
 
 
 def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording: Path) -> None:
     def tried(*more: str) -> subprocess.CompletedProcess[str]:
         return camber("play", recording, "--connect", endpoint, *more)
 
-    with driving(endpoint):  # heard, though it has not declared itself
+    with driving(endpoint):  # recorded, though it has not declared itself
         done = tried()
         assert done.returncode == 1
         assert "gnss, vehicle of car is on this bus" in done.stderr
@@ -327,27 +327,27 @@ def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording:
     assert tried().returncode == 0
 
 
-def test_a_long_gap_is_said_before_it_is_waited_for(endpoint: str, tmp_path: Path) -> None:
+def test_a_long_gap_is_printed_before_the_wait(endpoint: str, tmp_path: Path) -> None:
     path = tmp_path / "gap.mcap"
     with Recorder(path) as recorder:
         for n, time_ns in enumerate((1_400_000_000 * 10**9, 1_400_003_600 * 10**9)):
-            said = encode(
+            output = encode(
                 Motion(time_ns=time_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0), source="vehicle", sequence=n
             )
-            recorder.add("motion", said, key="camber/v1/car/vehicle/motion", arrival_ns=0)
+            recorder.add("motion", output, key="camber/v1/car/vehicle/motion", arrival_ns=0)
     log = tmp_path / "log"
     with log.open("w") as out, started(*play(path, "--connect", endpoint), stdout=out, stderr=out) as process:
         wait_until(
             lambda: "a gap in the recording: nothing for 3600 s" in log.read_text(),
             timeout_s=30.0,
-            why="it is said",
+            why="the gap is not printed",
         )
         process.terminate()
         assert process.wait(30.0) == 0
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "error"),
     [
         (["--speed", "2"], "expected 1 with --times now"),
         (["--channels", "health"], "channel 'health'"),
@@ -355,11 +355,11 @@ def test_a_long_gap_is_said_before_it_is_waited_for(endpoint: str, tmp_path: Pat
     ],
 )
 def test_what_cannot_be_played_is_one_line(
-    endpoint: str, recording: Path, arguments: list[str], words: str
+    endpoint: str, recording: Path, arguments: list[str], error: str
 ) -> None:
     done = camber("play", recording, "--connect", endpoint, *arguments)
     assert done.returncode == 2
-    assert words in done.stderr
+    assert error in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 

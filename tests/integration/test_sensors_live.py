@@ -67,18 +67,18 @@ def bus(endpoint: str) -> str:
     return f'vehicle = "car"\n[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
 
 
-def alike(found: Sweep, true: Sweep) -> None:
+def alike(sweep: Sweep, true: Sweep) -> None:
     """The same measurements but for what a Velodyne's packets round."""
-    apart_m = np.linalg.norm(found.points_m - true.points_m, axis=1)
+    apart_m = np.linalg.norm(sweep.points_m - true.points_m, axis=1)
     assert (apart_m <= np.radians(0.0055) * np.linalg.norm(true.points_m, axis=1) + 2e-5).all()
-    np.testing.assert_array_equal(found.intensity, true.intensity)
+    np.testing.assert_array_equal(sweep.intensity, true.intensity)
 
 
-def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path: Path) -> None:
+def test_recordings_give_the_sweeps_and_motion_of_the_drive(drive: Path, tmp_path: Path) -> None:
     """Dated now, so that they are accepted as live ones are; of sweeps a bus that is busy drops some, and no motion."""
-    own = (drive / "sensors.toml").read_text().replace('"lidar.pcap"', '"pcap"')
-    own = re.sub(
-        r"(pcap:|candump:|\")(lidar\.pcap|can\.log|can\.dbc)", lambda m: f"{m[1]}{drive}/{m[2]}", own
+    settings = (drive / "sensors.toml").read_text().replace('"lidar.pcap"', '"pcap"')
+    settings = re.sub(
+        r"(pcap:|candump:|\")(lidar\.pcap|can\.log|can\.dbc)", lambda m: f"{m[1]}{drive}/{m[2]}", settings
     )
     true = [read_sweep(path, "lidar") for path in sorted((drive / "sweeps").glob("*.pcd"))]
     moved = read_motion(drive / "motion.csv")
@@ -86,7 +86,7 @@ def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path:
     motion: list[Motion] = []
     with router() as endpoint:
         config = tmp_path / "sensors.toml"
-        config.write_text('recordings = "now"\n' + bus(endpoint) + own)
+        config.write_text('recordings = "now"\n' + bus(endpoint) + settings)
         # Whatever its age: a machine may be busy with other things.
         listener = Subscription("sweep", "motion", vehicle="car", connect=[endpoint], live=False)
         with listener, started("-m", "camber.cli", "sensors", "--config", str(config)) as process:
@@ -95,21 +95,21 @@ def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path:
                 (sweeps if isinstance(message, Sweep) else motion).append(message)
                 if len(sweeps) == len(true) and len(motion) == len(moved):
                     break
-            said = health(endpoint)
+            report = health(endpoint)
             assert process.poll() is None
         refused = listener.refused
-    assert {issue.code for issue in said.issues} <= {"lidar_ended", "can_ended", "sensor_silent"}
-    assert said.counters["lidar.packets.lost"] == said.counters["lidar.packets.late"] == 0
-    assert said.counters["lidar.sweeps.whole"] == len(true) == round(SECONDS * 10)
+    assert {issue.code for issue in report.issues} <= {"lidar_ended", "can_ended", "sensor_silent"}
+    assert report.counters["lidar.packets.lost"] == report.counters["lidar.packets.late"] == 0
+    assert report.counters["lidar.sweeps.whole"] == len(true) == round(SECONDS * 10)
     assert not refused, refused
     print(f"{len(sweeps)} of {len(true)} sweeps, {len(motion)} of {len(moved)} motions")
     assert len(motion) == len(moved)
     assert len(sweeps) >= 0.25 * len(true)
     shift_ns = motion[0].time_ns - moved[0].time_ns
-    for found in sweeps:
-        recorded = min(true, key=lambda one: abs(one.time_ns + shift_ns - found.time_ns))
-        alike(found, recorded)
-        at_ns, true_ns = (one.time_ns + one.offset_ns.astype(np.int64) for one in (found, recorded))
+    for sweep in sweeps:
+        recorded = min(true, key=lambda one: abs(one.time_ns + shift_ns - sweep.time_ns))
+        alike(sweep, recorded)
+        at_ns, true_ns = (one.time_ns + one.offset_ns.astype(np.int64) for one in (sweep, recorded))
         assert np.abs(at_ns - true_ns - shift_ns).max() <= 2000
     for made, row in zip(motion, moved, strict=True):
         assert abs(made.time_ns - row.time_ns - shift_ns) <= 2000
@@ -118,9 +118,9 @@ def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path:
             ("yaw_rate_rad_s", 1e-4),
             ("steering_angle_rad", 1e-4),
         ):
-            value, said_value = getattr(made, name), getattr(row, name)
-            assert (value is None) == (said_value is None)
-            assert value is None or abs(value - said_value) <= step
+            value, expected = getattr(made, name), getattr(row, name)
+            assert (value is None) == (expected is None)
+            assert value is None or abs(value - expected) <= step
 
 
 class Sensor(threading.Thread):
@@ -168,7 +168,7 @@ class Sensor(threading.Thread):
         return (since_ns - nearest_ns) / 1e9
 
 
-def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Path) -> None:
+def test_a_live_lidar_with_a_localizer(drive: Path, tmp_path: Path) -> None:
     port = free_port()
     sensor = Sensor(drive, port)
     with ExitStack() as stack:
@@ -176,8 +176,8 @@ def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Pa
         lidar = f'[lidar]\nsource = "udp:127.0.0.1:{port}"\nmodel = "HDL-32E"\nstamps = "utc_hour"\n'
         # So much a machine that is busy may take to hand a packet on.
         lidar += "most_clock_error_s = 1.0\n"
-        for name, own in (("sensors", lidar), ("localizer", "")):
-            (tmp_path / f"{name}.toml").write_text(bus(endpoint) + own)
+        for name, settings in (("sensors", lidar), ("localizer", "")):
+            (tmp_path / f"{name}.toml").write_text(bus(endpoint) + settings)
         listener = stack.enter_context(Subscription("sweep", vehicle="car", connect=[endpoint], live=False))
         for name in ("localizer", "sensors"):
             config = str(tmp_path / f"{name}.toml")
@@ -185,13 +185,13 @@ def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Pa
         for name in ("localizer", "sensors"):
             wait_until(lambda name=name: answers(endpoint, name), timeout_s=90.0, why=f"no {name}")
         sensor.start()
-        found: list[Sweep] = []
+        sweeps: list[Sweep] = []
         ages_s: list[float] = []
-        while len(found) < len(sensor.true) - 1:
+        while len(sweeps) < len(sensor.true) - 1:
             message = listener.next(10.0)
             if message is None:
                 break
-            found.append(message)
+            sweeps.append(message)
             ages_s.append((CLOCK.now_ns() - message.time_ns) / 1e9)
         sensor.join()
         wait_until(
@@ -199,16 +199,16 @@ def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Pa
             timeout_s=20.0,
             why="packets that are neither read nor lost",
         )
-        said, localizer = health(endpoint), health(endpoint, "localizer")
-    lost = said.counters.get("lidar.lost_in_kernel", 0)
-    assert found, said
+        report, localizer = health(endpoint), health(endpoint, "localizer")
+    lost = report.counters.get("lidar.lost_in_kernel", 0)
+    assert sweeps, report
     print(
-        f"{len(found)} of {len(sensor.true)} sweeps, median age {np.median(ages_s) * 1e3:.0f} ms, lost {lost}"
+        f"{len(sweeps)} of {len(sensor.true)} sweeps, median age {np.median(ages_s) * 1e3:.0f} ms, lost {lost}"
     )
-    assert read_or_lost(said) == sensor.packets
+    assert read_or_lost(report) == sensor.packets
     # The last turn waits for the next one, which does not come; of sweeps a bus that is busy drops some.
-    assert said.counters["lidar.sweeps.whole"] >= len(sensor.true) - 1 or lost
-    whole = {round((one.time_ns - sensor.shift_ns - sensor.true[0].time_ns) / 1e8): one for one in found}
+    assert report.counters["lidar.sweeps.whole"] >= len(sensor.true) - 1 or lost
+    whole = {round((one.time_ns - sensor.shift_ns - sensor.true[0].time_ns) / 1e8): one for one in sweeps}
     assert len(whole) >= 0.25 * len(sensor.true)
     for number, sweep in whole.items():
         if lost == 0:
@@ -237,14 +237,14 @@ def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
         process = stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
         wait_until(lambda: answers(endpoint, "sensors"), timeout_s=90.0, why="no sensors")
         sensor.start()
-        heard: list[Sweep] = []
+        received: list[Sweep] = []
 
-        def heard_since(time_ns: int) -> bool:
+        def received_since(time_ns: int) -> bool:
             message = listener.next(0.2)
-            heard.extend([] if message is None else [message])
-            return bool(heard) and heard[-1].time_ns > time_ns
+            received.extend([] if message is None else [message])
+            return bool(received) and received[-1].time_ns > time_ns
 
-        wait_until(lambda: heard_since(0), timeout_s=60.0, why="no sweeps")
+        wait_until(lambda: received_since(0), timeout_s=60.0, why="no sweeps")
         if fault == "killed":
             process.kill()
             process.wait()
@@ -257,22 +257,22 @@ def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
         else:
             process.send_signal(signal.SIGCONT)
         back_ns = CLOCK.now_ns()
-        wait_until(lambda: heard_since(back_ns), timeout_s=90.0, why="no new sweeps")
-        said = health(endpoint)
+        wait_until(lambda: received_since(back_ns), timeout_s=90.0, why="no new sweeps")
+        report = health(endpoint)
     sensor.join()
-    off_s = [sensor.off_s(sweep) for sweep in heard]
-    late = sum(away_ns < sweep.time_ns < back_ns - round(0.2e9) for sweep in heard)
+    off_s = [sensor.off_s(sweep) for sweep in received]
+    late = sum(away_ns < sweep.time_ns < back_ns - round(0.2e9) for sweep in received)
     print(
-        f"{len(heard)} sweeps, {late} of the time away; times off by {min(off_s):+.4f} to {max(off_s):+.4f} s"
+        f"{len(received)} sweeps, {late} of the time away; times off by {min(off_s):+.4f} to {max(off_s):+.4f} s"
     )
     assert np.abs(off_s).max() < (0.001 if stamps == "utc_hour" else 0.01)
-    assert all(first.time_ns < then.time_ns for first, then in pairwise(heard))
+    assert all(first.time_ns < then.time_ns for first, then in pairwise(received))
     assert late == 0 or fault == "frozen"
-    assert said.status != "failing"
+    assert report.status != "failing"
 
 
-def read_or_lost(said) -> int:
-    return said.counters["lidar.packets.read"] + said.counters.get("lidar.lost_in_kernel", 0)
+def read_or_lost(report) -> int:
+    return report.counters["lidar.packets.read"] + report.counters.get("lidar.lost_in_kernel", 0)
 
 
 def answers(endpoint: str, service: str) -> bool:

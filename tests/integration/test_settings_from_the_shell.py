@@ -8,7 +8,7 @@ import pytest
 from camber.schemas.channels import SERVICES
 from support.running import camber
 
-OWN = {
+VALUES = {
     "gnss": 'source = "tcp:127.0.0.1:2101"\nprotocol = "nmea"\n',
     "map_server": 'release = "{folder}/map"\n',
     "localizer": "[initial_pose]\nlatitude_deg = 35.1\nlongitude_deg = 136.9\nyaw_deg = 10.0\n"
@@ -27,7 +27,7 @@ def config(service, tmp_path) -> Path:
     path = tmp_path / f"{service}.toml"
     common = f'vehicle = "car"\nstate_dir = "{tmp_path / "state"}"\n'
     bus = '[zenoh]\nmode = "client"\nconnect = ["tcp/127.0.0.1:7447"]\n'
-    path.write_text(common + OWN.get(service, "").format(folder=tmp_path) + bus)
+    path.write_text(common + VALUES.get(service, "").format(folder=tmp_path) + bus)
     return path
 
 

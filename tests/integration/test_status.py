@@ -1,4 +1,4 @@
-"""`camber status` over a real router, with real services: whoever does not answer is never shown as well."""
+"""`camber status` over a real router, with real services: a service that does not answer is never shown as well."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_service_whose_interpreter_hangs_is_not_answering_though_it_is_on_the_
         assert why.startswith("on the bus, but its work loop does not answer")
 
 
-def test_without_a_router_it_is_said_so(tmp_path: Path) -> None:
+def test_a_missing_router_is_one_clear_line(tmp_path: Path) -> None:
     done = camber("status", "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
     assert done.returncode == 3
     assert done.stderr.startswith("camber status: cannot join the bus")

@@ -72,7 +72,7 @@ def test_fixes_of_another_version_are_refused_until_it_is_rolled_back(
     begin_s = time.monotonic()
     time.sleep(MIXED_S)
     assert counter(car, "integrity", "fix.undecodable") > refused + 10, "it goes on coming, and is counted"
-    assert [said for said in witness.messages(Verdict, begin_s) if said.verdict in TRUSTED] == []
+    assert [verdict for verdict in witness.messages(Verdict, begin_s) if verdict.verdict in TRUSTED] == []
     health = car.health("integrity")
     assert health is not None
     assert any("expected encoding" in issue.text and ".Fix.v1" in issue.text for issue in health.issues)
@@ -104,8 +104,8 @@ def test_uploads_wait_for_a_cloud_that_understands_them(
         why="integrity does not say that its uploads are not taken",
     )
     witness.wait_for_trust(began_s)
-    said = witness.messages(Verdict, began_s)
-    waiting = {verdict.time_ns for verdict in said if verdict.verdict == "confirmed"}
+    verdict = witness.messages(Verdict, began_s)
+    waiting = {verdict.time_ns for verdict in verdict if verdict.verdict == "confirmed"}
     assert waiting
     assert not waiting & set(car.stored_ns()), "the other release has taken some"
     replaced(car, "map_update", ["-m", "camber.cli"])

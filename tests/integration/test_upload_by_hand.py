@@ -1,4 +1,4 @@
-"""`camber upload`: a file goes to the store, each batch once, and each file hears what became of it."""
+"""`camber upload`: a file goes to the store, each batch once, and each file gets its result."""
 
 import signal
 import subprocess
@@ -88,10 +88,10 @@ def test_interrupted_it_says_what_is_stored() -> None:
         ) as process:  # fmt: skip
             wait_until(lambda: len(asked) > 1, timeout_s=30.0, why="the second batch does not come")
             process.send_signal(signal.SIGINT)
-            said, why = process.communicate(timeout=30.0)
+            output, why = process.communicate(timeout=30.0)
         asked.clear()
     assert (process.returncode, why) == (130, "camber upload: interrupted\n")
-    assert said == f"{EXAMPLE}: 4 observations in 1 of 3 batches: 4 stored\n"
+    assert output == f"{EXAMPLE}: 4 observations in 1 of 3 batches: 4 stored\n"
 
 
 def test_nobody_there_is_one_line() -> None:

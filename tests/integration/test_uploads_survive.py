@@ -112,7 +112,7 @@ class Fleet:
         assert stdout is not None
         line = stdout.readline()
         assert line, "the vehicle has ended"
-        self.put, pending, dead_letters = (int(word) for word in line.split())
+        self.put, pending, dead_letters = (int(field) for field in line.split())
         assert dead_letters == 0
         return self.put - pending
 

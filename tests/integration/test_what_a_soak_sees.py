@@ -33,25 +33,25 @@ HOUR_S = 3600.0
 
 def readings(mb_an_hour: float, *, steps: dict[int, float] | None = None, seed: int = 1) -> list[Reading]:
     """Two hours of a process of 50 MB: its memory comes and goes by half a megabyte; `steps` by reading."""
-    random, found, level = Random(seed), [], 50.0
+    random, taken, level = Random(seed), [], 50.0
     for n in range(720):
         level += (steps or {}).get(n, 0.0)
         uss = level + mb_an_hour * n * 10.0 / HOUR_S + random.uniform(0.0, 0.5)
-        found.append(Reading(10.0 * n, uss, uss, 16 + random.randrange(3), 8, 0.1 * n))
-    return found
+        taken.append(Reading(10.0 * n, uss, uss, 16 + random.randrange(3), 8, 0.1 * n))
+    return taken
 
 
-def count_verdicts(found: list[Reading], window: Window = CALM) -> list[str]:
-    return complaints({"gnss": drift(found)}, [window], least_mb=LEAST_MB, latency=True)
+def complaints_about(taken: list[Reading], window: Window = CALM) -> list[str]:
+    return complaints({"gnss": drift(taken)}, [window], least_mb=LEAST_MB, latency=True)
 
 
 def test_a_calm_process_is_no_leak():
-    assert count_verdicts(readings(0.0)) == []
+    assert complaints_about(readings(0.0)) == []
 
 
 @pytest.mark.parametrize("mb_an_hour", [0.7, 5.0])
 def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
-    assert ["memory grew" in text for text in count_verdicts(readings(mb_an_hour))] == [True]
+    assert ["memory grew" in text for text in complaints_about(readings(mb_an_hour))] == [True]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
     ids=["a step that stays", "late", "early, and kept"],
 )
 def test_memory_that_is_more_in_the_end_is_a_leak(steps):
-    assert ["memory grew" in text for text in count_verdicts(readings(0.0, steps=steps))] == [True]
+    assert ["memory grew" in text for text in complaints_about(readings(0.0, steps=steps))] == [True]
 
 
 def test_descriptors_that_leak_slowly_are_seen_through_a_peak_and_a_dip():
@@ -72,18 +72,18 @@ def test_descriptors_that_leak_slowly_are_seen_through_a_peak_and_a_dip():
 
 
 def test_a_step_up_and_down_again_is_none():
-    assert count_verdicts(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
+    assert complaints_about(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
 
 
 def test_descriptors_and_threads_that_stay_are_a_leak():
-    found = readings(0.0)
+    taken = readings(0.0)
     grown = [Reading(r.at_s, r.uss_mb, r.pss_mb, r.descriptors + 4 * (n > 300), r.threads + (n > 300), r.cpu_s)
-             for n, r in enumerate(found)]  # fmt: skip
-    assert len(count_verdicts(grown)) == 2
+             for n, r in enumerate(taken)]  # fmt: skip
+    assert len(complaints_about(grown)) == 2
 
 
 @pytest.mark.parametrize(
-    ("window", "said"),
+    ("window", "complaint"),
     [
         (Window(0.0, 300.0, 1500, 0, 5.0, 21.0, 40.0, 1200, 0, 0.4), "p99"),
         (Window(0.0, 300.0, 1500, 0, float("nan"), float("nan"), 0.0, 1200, 0, 0.4), "p99"),
@@ -92,28 +92,28 @@ def test_descriptors_and_threads_that_stay_are_a_leak():
         (Window(0.0, 300.0, 1500, 80, 5.0, 9.0, 15.0, 1200, 0, 0.4), "80 of 1500 fixes without a verdict"),
     ],
 )
-def test_late_wrong_and_missing_verdicts_are_complained_of(window, said):
-    (text,) = count_verdicts(readings(0.0), window)
-    assert said in text
+def test_late_wrong_and_missing_verdicts_are_complaints(window, complaint):
+    (text,) = complaints_about(readings(0.0), window)
+    assert complaint in text
 
 
 def test_a_process_that_leaks_is_read_as_one():
     with started("-c", LEAKING) as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "begun"
-        found = []
+        taken = []
         while (
-            not found or found[-1].uss_mb - found[0].uss_mb < 20.0 or found[-1].threads - found[0].threads < 2
+            not taken or taken[-1].uss_mb - taken[0].uss_mb < 20.0 or taken[-1].threads - taken[0].threads < 2
         ):
-            found.append(read(process.pid, time.monotonic()))
+            taken.append(read(process.pid, time.monotonic()))
             time.sleep(0.05)
-            assert len(found) < 2000, "it does not grow"
-    assert found[-1].descriptors > found[0].descriptors
-    assert drift(found)["growth_mb"] > 5.0
+            assert len(taken) < 2000, "it does not grow"
+    assert taken[-1].descriptors > taken[0].descriptors
+    assert drift(taken)["growth_mb"] > 5.0
 
 
 class Witness:
-    """Fixes at 5 Hz; of each what is said, and after how many milliseconds."""
+    """Fixes at 5 Hz and the delay of each verdict in milliseconds (None: no verdict)."""
 
     def __init__(self, seconds: float, late_ms: list[float | None]) -> None:
         self.items = []
@@ -152,4 +152,4 @@ def test_verdicts_in_time_are_no_complaint_and_all_of_the_time_is_looked_at() ->
     ids=["late", "a few never", "most never"],
 )
 def test_verdicts_that_are_late_or_never_come_are_a_complaint(late_ms: list[float | None]) -> None:
-    assert any("p99 of verdicts" in said for said in complaints_of(600.0, late_ms))
+    assert any("p99 of verdicts" in complaint for complaint in complaints_of(600.0, late_ms))

@@ -1,4 +1,4 @@
-"""What antenna_height hears in a simulated drive, without a bus, and how high the antenna really was.
+"""The inputs of antenna_height in a simulated drive, without a bus, and how high the antenna really was.
 
 `matched_drive` lets the localizer itself pose and match. In the others, which are made in a second, the pose is the
 truth with a localizer's errors; the road below it is that of the simulated survey, with its errors.
@@ -104,12 +104,12 @@ def antenna_drive(
     matches: bool = False,
 ) -> AntennaDrive:
     """One drive of a shipped scenario. `attitude`: motion carries pitch and roll. `matches`: scan matches made from the
-    truth are heard as well, with errors of a size that matching has: a stand-in, no evidence of any matching."""
+    truth are inputs as well, with errors of a size that matching has: a stand-in, no evidence of any matching."""
     scenario = load_scenario(name, [f"seed={seed}", *overrides])
     scenario = scenario.model_copy(update={"faults": (*scenario.faults, *faults)})
     district, path, trajectory = lay_out(scenario, CAR)
     poses = _poses(scenario, district, trajectory)
-    return _heard(seed, path, trajectory, poses, attitude=attitude, matches=matches)
+    return _inputs(seed, path, trajectory, poses, attitude=attitude, matches=matches)
 
 
 def slope_drive(
@@ -125,7 +125,7 @@ def slope_drive(
         _pose_at(trajectory, k, 0.6, 2.4, road, float(rng.normal(0.0, _YAW_SIGMA_RAD)))
         for k in _rows(trajectory)
     ]
-    return _heard(seed, path, trajectory, poses, attitude=attitude, matches=matches)
+    return _inputs(seed, path, trajectory, poses, attitude=attitude, matches=matches)
 
 
 def matched_drive(
@@ -157,11 +157,11 @@ def matched_drive(
         messages += [("scan_match", match) for match in step.matches]
         messages += [("pose", step.pose)] if step.pose is not None else []
     t = drive.trajectory
-    slopes = _true_slopes(drive.way.surface_m, t)
+    slopes = _true_slopes(drive.path.surface_m, t)
     return _in_order(messages, t, slopes)
 
 
-def _heard(
+def _inputs(
     seed: int, path: Path, trajectory: Trajectory, poses: list[Pose], *, attitude: bool, matches: bool
 ) -> AntennaDrive:
     readings = read_sensors(trajectory, CAR, path.surface_m, SENSORS, seed)
@@ -251,7 +251,7 @@ def _matches(seed: int, t: Trajectory, surface_m: Surface, slopes: Floats) -> li
     rows = _rows(t)
     position, _ = PoseTrack.of(t, CAR, CAR.lidar).at(t.time_ns)
     height = position[:, 2] - surface_m(position[:, 0], position[:, 1], t.level)
-    found = []
+    inputs = []
     slow = 0.0
     for k in rows:
         slow = 0.98 * slow + 0.01 * math.sqrt(1.0 - 0.98**2) * float(rng.standard_normal())
@@ -259,7 +259,7 @@ def _matches(seed: int, t: Trajectory, surface_m: Surface, slopes: Floats) -> li
         cos, sin = math.cos(t.yaw_rad[k]), math.sin(t.yaw_rad[k])
         if math.isnan(height[k]) or np.isnan(slopes[k]).any():
             continue
-        found.append(
+        inputs.append(
             ScanMatch(
                 time_ns=int(t.time_ns[k]),
                 status="converged",
@@ -276,4 +276,4 @@ def _matches(seed: int, t: Trajectory, surface_m: Surface, slopes: Floats) -> li
                 road_slope_left=float(slopes[k, 1] * cos - slopes[k, 0] * sin),
             )
         )
-    return found
+    return inputs

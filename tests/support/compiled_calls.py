@@ -52,9 +52,9 @@ def _calls(module: ModuleType, *, compiled: bool) -> Iterator[tuple[Dispatcher, 
     for function in _functions(module, compiled=compiled):
         for code in _codes(function.__code__):
             for name in code.co_names:
-                found = function.__globals__.get(name)
-                if isinstance(found, Dispatcher):
-                    yield found, f"{module.__name__}.{function.__qualname__}"
+                value = function.__globals__.get(name)
+                if isinstance(value, Dispatcher):
+                    yield value, f"{module.__name__}.{function.__qualname__}"
 
 
 def _functions(module: ModuleType, *, compiled: bool) -> Iterator[FunctionType]:

@@ -43,7 +43,7 @@ def free_port() -> int:
 
 
 def docker(*arguments: str, timeout_s: float = 60.0, check: bool = True) -> str:
-    """`docker …`; its output, or an AssertionError with what it said."""
+    """`docker …`; its output, or an AssertionError with its output."""
     return _run(["docker", *arguments], dict(os.environ), timeout_s, check)
 
 
@@ -86,7 +86,7 @@ class Stack:
     def compose(
         self, *arguments: str, timeout_s: float = 60.0, check: bool = True, release: str = RELEASE
     ) -> str:
-        """`docker compose …`; its output, or an AssertionError with what it said."""
+        """`docker compose …`; its output, or an AssertionError with its output."""
         command = ["docker", "compose", "--project-name", self.project, "--profile", self.profile]
         return _run([*command, *arguments], {**self._environ, "CAMBER_RELEASE": release}, timeout_s, check)
 
@@ -123,8 +123,8 @@ class Stack:
         """What a service says of itself; empty while it says nothing."""
         command = ("camber", "health", service, "--config", f"/etc/camber/{service}.toml", "--json")
         text = self.inside(service, *command, check=False)
-        said: dict[str, Any] = json.loads(text) if text.startswith("{") else {}
-        return said
+        listed: dict[str, Any] = json.loads(text) if text.startswith("{") else {}
+        return listed
 
 
 @contextmanager

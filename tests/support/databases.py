@@ -45,7 +45,7 @@ def in_a_loop(coroutine: Coroutine[Any, Any, T]) -> T:
 def lasting_port() -> int:
     """A free port of the loopback that stays free while its server is down.
 
-    Below those that the system gives to whoever connects (from 32768): a client that tries again and again would
+    Below those that the system gives to connecting clients (from 32768): a client that tries again and again would
     sooner or later be given the port that it tries, and hold it.
     """
     while True:

@@ -88,9 +88,9 @@ class Comparison:
         }
 
 
-def best_agreed(found: list[SubsetCandidate]) -> SubsetCandidate | None:
+def best_agreed(candidates: list[SubsetCandidate]) -> SubsetCandidate | None:
     """The estimate with most that agree, then the likeliest; None where none may be taken."""
-    taken = [e for e in found if e.agreeing >= LEAST_AGREEING and e.fixed >= LEAST_FIXED]
+    taken = [e for e in candidates if e.agreeing >= LEAST_AGREEING and e.fixed >= LEAST_FIXED]
     return max(taken, key=lambda e: (e.agreeing, e.success_rate)) if taken else None
 
 
@@ -101,8 +101,8 @@ def tally_epoch(
     if solution.quality == "fixed" and solution.position_ecef_m is not None:
         fixes.count(rotation @ (solution.position_ecef_m - truth_m))
     elif solution.rows is not None and solution.approximate_ecef_m is not None:
-        _, found = subset_candidates(solution, options.fix_criteria(), "all", most_trials=TRIALS)
-        best = best_agreed(found)
+        _, candidates = subset_candidates(solution, options.fix_criteria(), "all", most_trials=TRIALS)
+        best = best_agreed(candidates)
         if best is not None:
             trials.count(rotation @ (best.position_ecef_m - truth_m))
 
@@ -151,8 +151,8 @@ def main() -> None:
     if RNX2RTKP is None:
         raise SystemExit("rnx2rtkp is not installed (Debian: rtklib)")
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.runs)
-    found = compare(seeds, chosen.duration, chosen.open_sky, quiet=False)
-    print(json.dumps(found.figures(), indent=1))
+    candidates = compare(seeds, chosen.duration, chosen.open_sky, quiet=False)
+    print(json.dumps(candidates.figures(), indent=1))
 
 
 if __name__ == "__main__":

@@ -62,8 +62,8 @@ def make_certificates(folder: Path, *, host: str = HOST, vehicle: str = "car-1")
     ours.revoke("revoked", now=now)
     ours.issue("expired", "vehicle", days=1, now=now - timedelta(days=2))
     # Of the authority, but in no list.
-    ours.issue("stranger", "vehicle", days=20, now=now)
-    ours.revoke("stranger", now=now)
+    ours.issue("unlisted", "vehicle", days=20, now=now)
+    ours.revoke("unlisted", now=now)
     foreign = Authority.make(folder / "foreign", name="foreign", days=30, now=now)
     foreign.issue(vehicle, "vehicle", days=20, now=now)
     return Certificates(ours.folder, foreign.folder)
@@ -90,13 +90,13 @@ def vehicle_file(
 
 @dataclass
 class Router:
-    """A `camber router` process; `said` is all that it has said so far."""
+    """A `camber router` process; `output` is all it has printed so far."""
 
     process: subprocess.Popen[str]
     log: Path
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         return self.log.read_text("utf-8")
 
     def end(self) -> None:
@@ -123,7 +123,7 @@ def router(file: Path) -> Iterator[Router]:
         )
     running = Router(process, log)
     try:
-        wait_until(lambda: "listens on" in running.said, timeout_s=30.0, why=f"{file.name} was not read")
+        wait_until(lambda: "listens on" in running.output, timeout_s=30.0, why=f"{file.name} was not read")
         yield running
     finally:
         running.end()
@@ -141,7 +141,7 @@ def joined(settings: ZenohSettings, *, timeout_s: float = 20.0) -> zenoh.Session
 
 
 def unchecked(settings: ZenohSettings, *, mode: str = "client") -> Any:
-    """Try to join without looking at one's own certificate first, as a stranger's program would: a session or None."""
+    """Try to join without looking at one's own certificate first, as a foreign program would: a session or None."""
     from camber.runtime import session as module
 
     config = module._base(None)
@@ -204,10 +204,10 @@ class CountedLink:
             threading.Thread(target=self._pass, args=(near, far, "up"), daemon=True).start()
             threading.Thread(target=self._pass, args=(far, near, "down"), daemon=True).start()
 
-    def _pass(self, source: socket, sink: socket, way: str) -> None:
+    def _pass(self, source: socket, sink: socket, direction: str) -> None:
         try:
             while data := source.recv(1 << 16):
-                setattr(self, way, getattr(self, way) + len(data))
+                setattr(self, direction, getattr(self, direction) + len(data))
                 sink.sendall(data)
         except OSError:
             pass

@@ -33,8 +33,8 @@ STALLED_S = 120.0
 
 
 @dataclass(frozen=True)
-class Found:
-    """What came of it; `problems` is empty where acknowledged is what is stored, each once."""
+class Outcome:
+    """Result of a run; `problems` is empty where acknowledged is what is stored, each once."""
 
     acknowledged: int
     stored: int
@@ -56,14 +56,16 @@ class Fleet:
         self.postgres.start()
         self.nats.start()
         self.addresses = {shard: self.postgres.new_database() for shard in shards}
-        own = f'queue = "{self.nats.address}"\nshards = {json.dumps(shards)}\nlog_level = "error"\n'
+        settings = f'queue = "{self.nats.address}"\nshards = {json.dumps(shards)}\nlog_level = "error"\n'
         router = f'mode = "router"\nconnect = []\nlisten = ["{self.endpoint}"]\n'
         client = f'mode = "client"\nconnect = ["{self.endpoint}"]\n'
-        (folder / "receive.toml").write_text(f'vehicle = "receive"\nrole = "receive"\n{own}[zenoh]\n{router}')
+        (folder / "receive.toml").write_text(
+            f'vehicle = "receive"\nrole = "receive"\n{settings}[zenoh]\n{router}'
+        )
         for shard in shards:
             (folder / f"store{shard}.toml").write_text(
                 f'vehicle = "store{shard}"\nrole = "store"\nshard = "{shard}"\nstore = "{self.addresses[shard]}"\n'
-                f"{own}[zenoh]\n{client}"
+                f"{settings}[zenoh]\n{client}"
             )
         for name in ("receive", *(f"store{shard}" for shard in shards)):
             self.start(name)
@@ -132,7 +134,7 @@ def run(
     shards: list[str],
     limit_s: float = math.inf,
     say: bool = False,
-) -> Found:
+) -> Outcome:
     """Upload, kill, and compare. After `limit_s` the vehicles end, and what is acknowledged by then is compared."""
     rng = random.Random(seed)
     began = time.monotonic()
@@ -197,7 +199,7 @@ def _compared(
     began: float,
     *,
     whole: bool,
-) -> Found:
+) -> Outcome:
     known = acknowledged(path)
     ledger = [row for rows in fleet.rows("SELECT id, vehicle, records FROM contribution") for row in rows]
     stored = np.array([int(str(name)[1:]) for name, _, _ in ledger], np.int64)
@@ -220,7 +222,7 @@ def _compared(
         "the number of records in the ledger is wrong": all(row[2] == records for row in ledger),
     }
     problems = [problem for problem, right in checks.items() if not right]
-    return Found(len(known), len(stored), total, killed, round(time.monotonic() - began, 1), problems)
+    return Outcome(len(known), len(stored), total, killed, round(time.monotonic() - began, 1), problems)
 
 
 def main() -> int:

@@ -4,8 +4,8 @@
         processes.start("router", …, within=line.vehicle)
         line.cut()
 
-A cut is one that nobody is told of, as in a tunnel: packets vanish, and both ends find out by themselves. Unix sockets
-reach across namespaces, so whoever tests can listen to a vehicle in one of them.
+A cut is silent, as in a tunnel: packets vanish, and both ends notice by themselves. Unix sockets reach across
+namespaces, so a test can listen to a vehicle in one of them.
 """
 
 from __future__ import annotations
@@ -73,15 +73,15 @@ class Link:
             )
 
     def cut(self) -> None:
-        """Nothing gets through, either way, and nobody is told."""
+        """Drop every packet in both directions, silently."""
         self._drop()
 
     def lose(self, share: float) -> None:
-        """So much of all packets gets lost, either way."""
+        """Drop this share of the packets in both directions."""
         self._drop("-m", "statistic", "--mode", "random", "--probability", f"{share:.3f}")
 
     def slow(self, kbit_s: int) -> None:
-        """So much gets through, either way; what waits for longer than 0.4 s gets lost."""
+        """Limit the rate in both directions; packets that wait for longer than 0.4 s are dropped."""
         for name, letter in zip(self.ends, "vc", strict=True):
             _run(
                 "tc", "-n", name, "qdisc", "replace", "dev", f"{letter}{self.tag}", "root", "tbf",
@@ -89,13 +89,13 @@ class Link:
             )  # fmt: skip
 
     def join(self) -> None:
-        """All that gets through gets through again, as slowly as it does."""
+        """Remove all drop rules; the rate limit stays."""
         while self._rules:
             name, rule = self._rules.pop()
             _run("ip", "netns", "exec", name, "iptables", "-w", "-D", *rule)
 
     def mend(self) -> None:
-        """As good as new."""
+        """Remove drop rules and rate limit."""
         self.join()
         for name, letter in zip(self.ends, "vc", strict=True):
             subprocess.run(

@@ -1,4 +1,4 @@
-"""A simulated drive that happens now: a receiver's port and a real caster tell it live to a real `camber gnss`.
+"""A simulated drive that happens now: a receiver's port and a real caster feed it live to a real `camber gnss`.
 
 Raw observations belong to their satellites' orbits and cannot be dated anew, so the drive is simulated from now on, and
 what lies in the past once it is made is not sent.
@@ -58,8 +58,8 @@ class LiveDrive:
         true = ecef_from_geodetic_scalar(
             truth.latitude_rad[row], truth.longitude_rad[row], truth.height_m[row]
         )
-        found = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
-        return float(np.linalg.norm(np.subtract(found, true)))
+        position_m = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
+        return float(np.linalg.norm(np.subtract(position_m, true)))
 
 
 class Port(threading.Thread):
@@ -77,7 +77,7 @@ class Port(threading.Thread):
         self.pause_between_bytes_s = 0.0
         """A slow line: the bytes of an epoch come in eight pieces, so far apart."""
         self.sent_ns: dict[int, int] = {}
-        """By epoch, `time.monotonic_ns()` before its bytes went, all at once: nobody can have heard them earlier."""
+        """By epoch, `time.monotonic_ns()` before its bytes went, all at once: none can have arrived earlier."""
 
     def run(self) -> None:
         for part in self._parts:
@@ -94,7 +94,7 @@ class Port(threading.Thread):
         self._server.close()
 
     def cut(self) -> None:
-        """All connections break; whoever connects again is served."""
+        """Close all connections; new ones are served."""
         clients, self._clients = self._clients, []
         for client in clients:
             client.close()

@@ -30,8 +30,8 @@ def message_classes() -> tuple[type[Message], ...]:
     """Every class of a message in `camber.schemas`, by name."""
     for module in pkgutil.iter_modules(camber.schemas.__path__, "camber.schemas."):
         importlib.import_module(module.name)
-    found = [cls for cls in _below(Message) if cls.__module__.startswith("camber.schemas.")]
-    return tuple(sorted(found, key=lambda cls: cls.__name__))
+    classes = [cls for cls in _below(Message) if cls.__module__.startswith("camber.schemas.")]
+    return tuple(sorted(classes, key=lambda cls: cls.__name__))
 
 
 def messages(cls: type[M]) -> st.SearchStrategy[M]:

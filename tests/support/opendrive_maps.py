@@ -72,10 +72,10 @@ def chained(
     x_m: float, y_m: float, heading: float, parts: list[tuple[str, float, tuple[float, ...]]]
 ) -> list[PlanViewGeometry]:
     """Geometries one after the other."""
-    found: list[PlanViewGeometry] = []
+    geometries: list[PlanViewGeometry] = []
     s = 0.0
     for shape, length, numbers in parts:
-        found.append(
+        geometries.append(
             PlanViewGeometry(
                 s_m=s, x_m=x_m, y_m=y_m, heading_rad=heading, length_m=length, shape=shape, numbers=numbers
             )
@@ -97,7 +97,7 @@ def chained(
         )
         x_m, y_m, heading = reference_line(piece, np.array([length]))[0].tolist()
         s += length
-    return found
+    return geometries
 
 
 def _from_end(end: Floats, length_m: float, shape: str, numbers: tuple[float, ...]) -> PlanViewGeometry:
@@ -169,10 +169,10 @@ def town() -> OpenDrive:
     )
 
 
-def _rise(own: OpenDriveRoad) -> tuple[float, float]:
+def _rise(road: OpenDriveRoad) -> tuple[float, float]:
     """Height and slope at the end of a road."""
-    s, a, b, c, d = own.elevation[-1].tolist()
-    ds = own.length_m - s
+    s, a, b, c, d = road.elevation[-1].tolist()
+    ds = road.length_m - s
     return a + ds * (b + ds * (c + ds * d)), b + ds * (2.0 * c + 3.0 * d * ds)
 
 

@@ -47,8 +47,10 @@ def main(endpoint: str, folder: Path, rate_hz: float) -> None:
         enough = (folder / "enough").exists()
         due = put if enough else int((time.monotonic() - began) * rate_hz)
         if due > put:
-            made = (upload(load, n).model_copy(update={"vehicle": VEHICLE}) for n in range(put, due))
-            outbox.put_many([Upload(said.upload_id, "upload", encode(said, source=VEHICLE)) for said in made])
+            uploads = (upload(load, n).model_copy(update={"vehicle": VEHICLE}) for n in range(put, due))
+            outbox.put_many(
+                [Upload(each.upload_id, "upload", encode(each, source=VEHICLE)) for each in uploads]
+            )
             put = due
             sending.wake()
         counts = outbox.counts()

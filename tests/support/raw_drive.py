@@ -43,8 +43,8 @@ class RawDrive:
         true = ecef_from_geodetic_scalar(
             float(truth.latitude_rad[row]), float(truth.longitude_rad[row]), float(truth.height_m[row])
         )
-        found = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
-        return float(np.linalg.norm(np.subtract(found, true)))
+        position_m = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
+        return float(np.linalg.norm(np.subtract(position_m, true)))
 
     def frames(self, epoch: int) -> list[bytes]:
         """The base's messages of one epoch."""

@@ -1,4 +1,4 @@
-"""Releases for tests: a reference over several tiles, what is made of it, and a supplier that can be led astray."""
+"""Releases for tests: a reference over several tiles, what is made of it, and a supplier with faults on demand."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def making(folder: Path, count: int = 8, *, key: Any = KEY, **changed: Any) -> R
 
 
 class Cloud:
-    """A supplier that answers from a folder; `cut_after`, `spoil` and `change` stand between it and whoever asks."""
+    """A supplier that answers from a folder; `cut_after`, `spoil` and `change` change its answers."""
 
     name = "cloud"
     may_be_old = False

@@ -48,7 +48,7 @@ ant2-postype=xyz
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solutions:
-    """What RTKLIB said, columns (n,): quality 1 is fixed; errors (n, 3) east, north, up against the truth."""
+    """Solutions of RTKLIB, columns (n,): quality 1 is fixed; errors (n, 3) east, north, up against the truth."""
 
     time_ns: NDArray[np.int64]
     quality: NDArray[np.int64]

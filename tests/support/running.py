@@ -35,7 +35,7 @@ _NS = 1_000_000_000
 
 
 def environment() -> dict[str, str]:
-    """This process's, so that children find the same code, and without settings of whoever runs the tests."""
+    """This environment, with the same import path, but without CAMBER_ settings of the caller."""
     kept = {
         name: text
         for name, text in os.environ.items()
@@ -86,9 +86,9 @@ def wait_until(what: Callable[[], Any], *, timeout_s: float, why: str) -> Any:
     """The first true value of `what`; an AssertionError saying `why` after the timeout."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
-        found = what()
-        if found:
-            return found
+        value = what()
+        if value:
+            return value
         time.sleep(0.02)
     raise AssertionError(f"{why}: not within {timeout_s:g} s")
 
@@ -176,8 +176,8 @@ def in_one_process(manifest: Path, folder: Path, *overrides: str) -> Drive:
     return Drive(driven.recorded, summary, driven.issues)
 
 
-def said_alike(out: Path, drive: Drive) -> None:
-    """Fails where one process says other messages than the processes of a replay: bit for bit, on every channel."""
+def assert_same_messages(out: Path, drive: Drive) -> None:
+    """Assert that one process and the processes of a replay published the same bytes on every channel."""
 
     def messages(items: Iterable[Recorded[Any]]) -> list[bytes]:
         return sorted(encode(item.message, source="", sequence=0) for item in items)

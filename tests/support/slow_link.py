@@ -38,7 +38,7 @@ class SlowLink:
                 return
             try:
                 far = socket.create_connection(("127.0.0.1", self._to_port), 5.0)
-            except OSError:  # nobody there yet: whoever connects tries again
+            except OSError:  # no server yet: the client tries again
                 near.close()
                 continue
             far.settimeout(None)
@@ -49,7 +49,7 @@ class SlowLink:
                 self._pass_on(source, sink)
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
-        under_way: deque[tuple[float, bytes]] = deque()
+        in_transit: deque[tuple[float, bytes]] = deque()
         some = threading.Condition()
 
         def read() -> None:
@@ -60,15 +60,15 @@ class SlowLink:
                 except OSError:
                     data = b""
                 with some:
-                    under_way.append((time.monotonic() + self.delay_s, data))
+                    in_transit.append((time.monotonic() + self.delay_s, data))
                     some.notify()
 
         def write() -> None:
             while not self._ended.is_set():
                 with some:
-                    while not under_way:
+                    while not in_transit:
                         some.wait()
-                    due, data = under_way.popleft()
+                    due, data = in_transit.popleft()
                 time.sleep(max(due - time.monotonic(), 0.0))
                 try:
                     if not data:

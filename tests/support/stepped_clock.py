@@ -1,6 +1,6 @@
 """A service whose machine's clock is set wrong while it runs: `python -m support.stepped_clock FILE SERVICE …`.
 
-FILE holds the offset of the clock, an int64 of nanoseconds, that whoever tests writes into it. Only what Python calls
+FILE holds the offset of the clock, an int64 of nanoseconds, that a test writes into it. Only what Python calls
 the time moves, which is all that a service dates by; as on a machine whose clock is set, what waits goes on waiting.
 """
 

@@ -85,8 +85,8 @@ def drive_through(canyon: Canyon, begin_ns: int, duration_s: float, rate_hz: int
     n = round(duration_s * rate_hz)
     s = np.arange(n) / rate_hz
     c, d = np.cos(canyon.yaw_rad), np.sin(canyon.yaw_rad)
-    way = SPEED_M_S * (s - 0.5 * duration_s)
-    east, north = way * c + OFF_MIDDLE_M * d, way * d - OFF_MIDDLE_M * c
+    along_m = SPEED_M_S * (s - 0.5 * duration_s)
+    east, north = along_m * c + OFF_MIDDLE_M * d, along_m * d - OFF_MIDDLE_M * c
     position = np.column_stack((east, north, np.full(n, GROUND_M + ANTENNA_M)))
     time_ns = begin_ns + np.arange(n, dtype=np.int64) * (NS_PER_SECOND // rate_hz)
     velocity = np.tile([SPEED_M_S * c, SPEED_M_S * d, 0.0], (n, 1))

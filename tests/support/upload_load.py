@@ -110,8 +110,8 @@ class Uploading:
         self.counts: Counter[str] = Counter()
         self._channel = BY_NAME["upload" if load.records == 0 else "upload_batch"]
         self._prepared: dict[int, bytes] = {}
-        self._said: deque[tuple[int, bytes | None]] = deque()
-        self._heard = threading.Event()
+        self._answers: deque[tuple[int, bytes | None]] = deque()
+        self._answered = threading.Event()
         config = zenoh.Config()
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([load.endpoint]))
@@ -139,11 +139,11 @@ class Uploading:
                 while ready and in_flight < load.window:
                     self._ask(ready.popleft())
                     in_flight += 1
-                self._heard.wait(0.05)
-                self._heard.clear()
+                self._answered.wait(0.05)
+                self._answered.clear()
                 stored = []
-                while self._said:
-                    n, data = self._said.popleft()
+                while self._answers:
+                    n, data = self._answers.popleft()
                     in_flight -= 1
                     if self._status(n, data) in ("stored", "duplicate"):
                         stored.append(n)
@@ -159,15 +159,15 @@ class Uploading:
         self._session.close()
 
     def _ask(self, n: int) -> None:
-        heard: list[bytes] = []
+        answers: list[bytes] = []
 
         def reply(got: zenoh.Reply) -> None:
             if got.ok is not None:
-                heard.append(got.ok.payload.to_bytes())
+                answers.append(got.ok.payload.to_bytes())
 
         def over() -> None:
-            self._said.append((n, heard[0] if heard else None))
-            self._heard.set()
+            self._answers.append((n, answers[0] if answers else None))
+            self._answered.set()
 
         self._session.get(
             self._channel.key_for(f"car{n % self.load.vehicles}"),

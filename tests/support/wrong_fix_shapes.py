@@ -25,10 +25,10 @@ NAGOYA_OFFSET_M = (0.055, -0.008, -0.045)
 
 def steepness(error_enu_m: Floats) -> Floats:
     """|up| / horizontal of errors (n, 3)."""
-    found: Floats = np.abs(error_enu_m[:, 2]) / np.maximum(
+    share: Floats = np.abs(error_enu_m[:, 2]) / np.maximum(
         np.hypot(error_enu_m[:, 0], error_enu_m[:, 1]), 1e-9
     )
-    return found
+    return share
 
 
 def is_wrong(error_enu_m: Floats) -> NDArray[np.bool_]:
@@ -45,8 +45,8 @@ def nagoya_fix_errors_m() -> Floats | None:
     folder = Path(root) / "nagoya-2023-07-11"
     truth = read_truth(folder / "reference.csv", "nagoya")
     decoder = PosDecoder("rover_rtk.pos")
-    said = [*decoder.feed((folder / "rover_rtk.pos").read_bytes()), *decoder.finish()]
-    fixes = [s for s in said if isinstance(s, ReceiverSolution) and s.quality == SolutionQuality.FIX]
+    solutions = [*decoder.feed((folder / "rover_rtk.pos").read_bytes()), *decoder.finish()]
+    fixes = [s for s in solutions if isinstance(s, ReceiverSolution) and s.quality == SolutionQuality.FIX]
     frame = LocalFrame(float(truth.latitude_rad[0]), float(truth.longitude_rad[0]), 0.0)
 
     def placed(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
@@ -62,8 +62,8 @@ def nagoya_fix_errors_m() -> Floats | None:
 
 def shares_percent(steep: Floats) -> Floats:
     """Of each bin (k,)."""
-    found: Floats = 100.0 * np.histogram(steep, BINS)[0] / max(len(steep), 1)
-    return found
+    share: Floats = 100.0 * np.histogram(steep, BINS)[0] / max(len(steep), 1)
+    return share
 
 
 def distance(one: Floats, other: Floats) -> float:

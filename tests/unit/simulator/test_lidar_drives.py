@@ -47,7 +47,7 @@ def test_a_sweep_at_the_true_pose_lies_on_the_road_of_the_drive_day() -> None:
     position, rotation = track.at(sweeps[-1].time_ns + sweeps[-1].offset_ns.astype(np.int64))
     exact = position + np.einsum("nij,nj->ni", rotation, points)
     np.testing.assert_allclose(placed, exact[last], atol=0.03)
-    road = drive.way.surface_m(exact[:, 0], exact[:, 1], np.zeros(len(exact), np.int64))
+    road = drive.path.surface_m(exact[:, 0], exact[:, 1], np.zeros(len(exact), np.int64))
     near = np.abs(exact[:, 2] - road) < 0.3
     assert near.sum() > 5_000
     assert abs(np.median(exact[near, 2] - road[near])) < 0.01

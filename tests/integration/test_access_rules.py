@@ -1,7 +1,7 @@
-"""Who may say what on the cloud's router: real processes, TLS on the loopback, one attempt a row.
+"""Access rules on the router of the cloud: real processes, TLS on the loopback, one attempt a row.
 
-A row is allowed or denied as docs/security.md states, and whoever is denied what it says or asks gets to know: Zenoh
-does not tell, so Camber asks for an echo, notices a question that nobody answers, or is not let in at all.
+A row is allowed or denied as docs/security.md states, and a denied publisher or query gets a report: Zenoh
+does not give one, so Camber asks for an echo, notices a question that nobody answers, or is not let in at all.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from support.fleet_routers import (
 )
 from support.running import wait_until
 
-Action = Literal["publish", "hear", "ask", "answer"]
+Action = Literal["publish", "subscribe", "ask", "answer"]
 NOTHING_S = 0.4
 ENDS_WITHIN_S = 2.0
 """How long nothing must arrive; what is allowed takes a hundredth of it."""
@@ -62,18 +62,18 @@ ROWS = [
     Row("car-1", "ask", f"{F}/car-1/upload_batch", True),
     Row("car-1", "ask", f"{F}/map/root", True),
     Row("car-1", "ask", f"{F}/map/blob", True),
-    Row("car-1", "hear", f"{F}/release", True),
+    Row("car-1", "subscribe", f"{F}/release", True),
     Row("car-1", "answer", f"{V}/integrity/health", True),
     # What stays in a vehicle
     Row("car-1", "publish", f"{V}/vehicle/sweep", False),
     Row("car-1", "publish", f"{V}/gnss/fix", False),
     Row("car-1", "answer", f"{V}/map_server/tile", False),
-    Row("car-1", "hear", f"{V}/integrity/verdict", False),
+    Row("car-1", "subscribe", f"{V}/integrity/verdict", False),
     # A vehicle under another's name, or the cloud's
     Row("car-1", "publish", f"{W}/integrity/verdict", False),
     Row("car-1", "publish", "camber/v1/*/integrity/verdict", False),
-    Row("car-1", "hear", f"{W}/integrity/verdict", False),
-    Row("car-1", "hear", "**", False),
+    Row("car-1", "subscribe", f"{W}/integrity/verdict", False),
+    Row("car-1", "subscribe", "**", False),
     Row("car-1", "ask", f"{F}/car-2/upload", False),
     Row("car-1", "ask", f"{F}/car-2/upload_batch", False),
     Row("car-1", "ask", f"{F}/*/upload_batch", False),
@@ -95,12 +95,12 @@ ROWS = [
     Row("map_update", "answer", f"{F}/map_update/health", True),
     Row("map_update", "ask", f"{F}/map_update/health", True),
     Row("map_update", "publish", f"{V}/integrity/verdict", False),
-    Row("map_update", "hear", f"{V}/integrity/verdict", False),
+    Row("map_update", "subscribe", f"{V}/integrity/verdict", False),
     Row("map_update", "ask", f"{V}/integrity/log_level", False),
     # Who only reads
-    Row("consumer", "hear", f"{V}/integrity/verdict", True),
-    Row("consumer", "hear", "camber/v1/*/integrity/position", True),
-    Row("consumer", "hear", f"{V}/gnss/fix", False),
+    Row("consumer", "subscribe", f"{V}/integrity/verdict", True),
+    Row("consumer", "subscribe", "camber/v1/*/integrity/position", True),
+    Row("consumer", "subscribe", f"{V}/gnss/fix", False),
     Row("consumer", "publish", f"{V}/integrity/verdict", False),
     Row("consumer", "publish", f"{F}/release", False),
     Row("consumer", "ask", f"{F}/car-1/upload_batch", False),
@@ -114,10 +114,10 @@ ROWS = [
     # A certificate of the authority that is not, or no more, in the list
     Row("revoked", "publish", "camber/v1/revoked/integrity/verdict", False),
     Row("revoked", "ask", f"{F}/revoked/upload_batch", False),
-    Row("revoked", "hear", f"{F}/release", False),
-    Row("stranger", "publish", f"{V}/integrity/verdict", False),
-    Row("stranger", "ask", f"{F}/map/root", False),
-    Row("stranger", "answer", f"{F}/map/root", False),
+    Row("revoked", "subscribe", f"{F}/release", False),
+    Row("unlisted", "publish", f"{V}/integrity/verdict", False),
+    Row("unlisted", "ask", f"{F}/map/root", False),
+    Row("unlisted", "answer", f"{F}/map/root", False),
 ]
 
 
@@ -132,7 +132,7 @@ class Fleet(NamedTuple):
             self.sessions[who] = joined(self.certificates.settings(who, self.endpoint))
         return self.sessions[who]
 
-    def heard(self, who: str, name: str) -> str:
+    def echo(self, who: str, name: str) -> str:
         if (who, name) not in self.echoes:
             settings = self.certificates.settings(who, self.endpoint)
             self.echoes[who, name] = can_publish(settings, name, timeout_s=20.0)
@@ -162,19 +162,21 @@ class Got:
     def query(self, query: zenoh.Query) -> None:
         self.came.set()
         with query:
-            # A wildcard is asked of by one that must not: what it gets is said on a key of its own.
+            # A query on a wildcard by one that must not ask: the reply is on a key of its own.
             query.reply(str(query.key_expr), b"answer")
 
 
-def published(sayer: zenoh.Session, hearer: zenoh.Session, key: str, hears: str | None = None) -> bool:
+def published(
+    publishing: zenoh.Session, subscribing: zenoh.Session, key: str, subscribed: str | None = None
+) -> bool:
     """Does what one publishes reach the other? Both ways in which one can: with a publisher, and without."""
     got = Got()
-    subscriber = hearer.declare_subscriber(hears or key, got.sample)
-    publisher = sayer.declare_publisher(key)
+    subscriber = subscribing.declare_subscriber(subscribed or key, got.sample)
+    publisher = publishing.declare_publisher(key)
     deadline = time.monotonic() + NOTHING_S
     while not got.came.is_set() and time.monotonic() < deadline:
-        publisher.put(b"said")
-        sayer.put(key, b"said")
+        publisher.put(b"problem")
+        publishing.put(key, b"problem")
         got.came.wait(0.05)
     publisher.undeclare()
     subscriber.undeclare()
@@ -197,7 +199,7 @@ def answered(asker: zenoh.Session, answerer: zenoh.Session, key: str) -> bool:
 def test_there_are_rows_of_every_kind() -> None:
     assert len(ROWS) == len(set(ROWS)) >= 30
     assert {(row.action, row.allowed) for row in ROWS} == {
-        (action, allowed) for action in ("publish", "hear", "ask", "answer") for allowed in (True, False)
+        (action, allowed) for action in ("publish", "subscribe", "ask", "answer") for allowed in (True, False)
     }
 
 
@@ -206,8 +208,8 @@ def test_a_row(fleet: Fleet, row: Row) -> None:
     session, everyone = fleet.session(row.who), fleet.session("cloud")
     done = {
         "publish": lambda: published(session, everyone, row.key),
-        "hear": lambda: published(
-            everyone, session, row.key if row.key != "**" else f"{W}/gnss/fix", hears=row.key
+        "subscribe": lambda: published(
+            everyone, session, row.key if row.key != "**" else f"{W}/gnss/fix", subscribed=row.key
         ),
         "ask": lambda: answered(session, everyone, row.key),
         "answer": lambda: answered(everyone, session, row.key),
@@ -215,33 +217,35 @@ def test_a_row(fleet: Fleet, row: Row) -> None:
     assert done == row.allowed
 
 
-# Who hears nothing has said nothing. What a vehicle may say within itself ends at its own router, and is no mistake.
-TOLD = [row for row in ROWS if not row.allowed and row.action != "hear" and not (
+# A denied subscriber publishes nothing. What a vehicle publishes within itself ends at its router: no mistake.
+REPORTED = [row for row in ROWS if not row.allowed and row.action != "subscribe" and not (
     row.who == "car-1" and row.key.startswith(V))]  # fmt: skip
 
 
-@pytest.mark.parametrize("row", TOLD, ids=str)
-def test_whoever_is_denied_what_it_says_learns_it(fleet: Fleet, row: Row) -> None:
+@pytest.mark.parametrize("row", REPORTED, ids=str)
+def test_a_denied_publisher_or_query_gets_a_report(fleet: Fleet, row: Row) -> None:
     if row.action == "ask":
         asked_s = time.monotonic()
         assert list(fleet.session(row.who).get(row.key, payload=b"?", timeout=30.0)) == []
         assert time.monotonic() - asked_s < 20.0, "at once, not by a timeout"
     else:
-        assert fleet.heard(row.who, row.key.split("/")[2]) == "denied"
+        assert fleet.echo(row.who, row.key.split("/")[2]) == "denied"
 
 
 @pytest.mark.parametrize(
     ("who", "name"),
     [("car-1", "car-1"), ("car-2", "car-2"), ("map_update", "fleet"), ("consumer", "consumer")],
 )
-def test_whoever_speaks_in_its_own_name_is_heard(fleet: Fleet, who: str, name: str) -> None:
-    assert fleet.heard(who, name) == "permitted"
+def test_publishing_in_the_name_of_the_certificate_is_permitted(fleet: Fleet, who: str, name: str) -> None:
+    assert fleet.echo(who, name) == "permitted"
 
 
 def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
     watch = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-2", again_s=600.0)
     result: list[str] = []
-    wait_until(lambda: result.extend(watch.problems()) or result, timeout_s=30.0, why="nothing was said")
+    wait_until(
+        lambda: result.extend(watch.problems()) or result, timeout_s=30.0, why="no problem was reported"
+    )
     assert "car-1 says as car-2: not in its access list" in result[0]
     right = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
     time.sleep(2.0)
@@ -255,8 +259,8 @@ def test_the_doctor_says_whose_certificate_is_in_no_access_list(fleet: Fleet) ->
         return [finding.text for finding in result if finding.state == "problem"]
 
     assert problems("car-1", "car-1") == []
-    (said,) = problems("revoked", "revoked")
-    assert "revoked says as revoked: not in its access list" in said
+    (problem,) = problems("revoked", "revoked")
+    assert "revoked says as revoked: not in its access list" in problem
     assert len(problems("car-1", "car-2")) == 1
 
 

@@ -1,4 +1,4 @@
-"""Who is there, asked of a router that is linked to another: told every time, though Zenoh itself may be silent."""
+"""Services present behind a linked router are listed every time, though Zenoh itself may omit them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 @contextmanager
 def linked(fleet: Fleet) -> Iterator[None]:
     with router(fleet.vehicle_file) as vehicle:
-        wait_until(lambda: "accepted as" in vehicle.said, timeout_s=60.0, why="no link")
+        wait_until(lambda: "accepted as" in vehicle.output, timeout_s=60.0, why="no link")
         yield
 
 
@@ -64,7 +64,7 @@ ONE = {"car-1": frozenset({"integrity"})}
 
 
 @pytest.mark.slow
-def test_who_is_there_is_told_every_time_and_who_has_left_is_not(fleet: Fleet) -> None:
+def test_present_services_are_listed_every_time_and_those_that_left_are_not(fleet: Fleet) -> None:
     with linked(fleet), open_session(fleet.bus) as service:
         leaver, _stayer = token(service, "gnss"), token(service, "integrity")
         time.sleep(0.5)
@@ -80,7 +80,7 @@ def test_who_is_there_is_told_every_time_and_who_has_left_is_not(fleet: Fleet) -
 
 
 @pytest.mark.slow
-def test_who_leaves_in_the_moment_of_the_question_is_not_told_of_ever_after(fleet: Fleet) -> None:
+def test_a_service_that_leaves_during_the_query_is_not_listed_later(fleet: Fleet) -> None:
     """As `camber status --watch` asks."""
     when = random.Random(seed := random.randrange(2**32))
     print("seed", seed)
@@ -92,7 +92,7 @@ def test_who_leaves_in_the_moment_of_the_question_is_not_told_of_ever_after(flee
         _stayer = token(service, "integrity")
         for _ in range(60):
             leaver = token(service, "gnss")
-            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="who came is not told of")
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="a new service is not listed")
             leaving = threading.Timer(when.uniform(0.0, 0.02), leaver.undeclare)
             leaving.start()
             time.sleep(when.uniform(0.0, 0.02))
@@ -108,7 +108,7 @@ def test_nobody_is_there_without_a_router_and_all_are_again_with_a_new_one(fleet
             service = stays.enter_context(open_session(fleet.bus))
             asker = stays.enter_context(QueryClient(fleet.settings, timeout_s=3.0))
             _tokens = token(service, "gnss"), token(service, "integrity")
-            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="not told of")
-        wait_until(lambda: asker.alive() == {}, timeout_s=20.0, why="told of without a router")
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="not listed")
+        wait_until(lambda: asker.alive() == {}, timeout_s=20.0, why="listed without a router")
         with linked(fleet):
-            wait_until(lambda: asker.alive() == BOTH, timeout_s=20.0, why="not told of again")
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=20.0, why="not listed again")
