@@ -175,8 +175,8 @@ def published(
     publisher = publishing.declare_publisher(key)
     deadline = time.monotonic() + NOTHING_S
     while not got.came.is_set() and time.monotonic() < deadline:
-        publisher.put(b"problem")
-        publishing.put(key, b"problem")
+        publisher.put(b"payload")
+        publishing.put(key, b"payload")
         got.came.wait(0.05)
     publisher.undeclare()
     subscriber.undeclare()

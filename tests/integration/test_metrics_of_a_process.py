@@ -138,6 +138,6 @@ def test_a_port_that_is_taken_is_a_problem_and_the_service_runs(tmp_path: Path) 
         wait_until(
             lambda: "metrics_not_served" in (tmp_path / "log").read_text(),
             timeout_s=60.0,
-            why="metrics_not_served is not logged",
+            why="no log line",
         )
         wait_until(lambda: "started" in (tmp_path / "log").read_text(), timeout_s=60.0, why="it runs")
