@@ -25,13 +25,13 @@ IMPORTED_AS = {"eclipse_zenoh": "zenoh", "nats_py": "nats", "pyserial": "serial"
 
 def imports(path: Path) -> set[str]:
     """Dotted names that a file imports, `from a import b` as both `a` and `a.b`."""
-    imported: set[str] = set()
+    modules: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            imported |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            imported |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return imported
+            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return modules
 
 
 def test_there_are_pure_modules() -> None:
@@ -63,14 +63,14 @@ def test_every_import_is_declared() -> None:
 
 
 def compiled_functions() -> list[tuple[str, ast.FunctionDef]]:
-    imported = []
+    compiled = []
     for name, path in modules():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef) and any(
                 isinstance(mark, ast.Name) and mark.id.startswith("compiled") for mark in node.decorator_list
             ):
-                imported.append((name, node))
-    return imported
+                compiled.append((name, node))
+    return compiled
 
 
 def test_compiled_code_does_without_scipy() -> None:
