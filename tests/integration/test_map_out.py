@@ -65,7 +65,7 @@ class Cloud(Service):
 
     def __init__(self, settings, bus):
         super().__init__(settings, bus)
-        self.serving, self.answers = ReleaseServer(settings.releases), None
+        self.serving, self.announced = ReleaseServer(settings.releases), None
 
     def answers(self):
         answers = self.serving.answers(self.bus.now_ns)
@@ -79,8 +79,8 @@ class Cloud(Service):
 
     def advance(self, now_ns):
         head = self.serving.head(time_ns=now_ns)
-        if head.map_version != self.answers:
-            self.answers = head.map_version
+        if head.map_version != self.announced:
+            self.announced = head.map_version
             self.bus.publish("release", head)
 
 

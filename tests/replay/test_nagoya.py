@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camber.schemas.drive import load_manifest
-from support.running import camber, in_one_process, said_alike, summary_of
+from support.running import camber, in_one_process, assert_same_messages, summary_of
 
 DRIVE = Path(__file__).with_name("nagoya.toml")
 TIMEOUT_S = 400.0
@@ -47,4 +47,4 @@ def test_verdicts_depend_on_the_drive_and_not_on_the_processes(out, tmp_path):
     """No bus, no other process, no waiting: none of these has a part in any message."""
     drive = in_one_process(DRIVE, tmp_path, "surrogates.seed=1")
     assert len(drive.recorded["verdict"]) > 6000
-    said_alike(out, drive)
+    assert_same_messages(out, drive)

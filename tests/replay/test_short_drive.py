@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from camber.replay.short_drive import write_short_drive
-from support.running import Drive, camber, figures, in_one_process, payloads, said_alike, summary_of
+from support.running import Drive, camber, figures, in_one_process, payloads, assert_same_messages, summary_of
 
 SPEEDS = ("max", "20")
 SEEDS = (1, 2, 3)
@@ -71,7 +71,7 @@ def test_one_process_says_what_the_processes_of_a_replay_say(outs, drives):
     drive = drives[SEEDS[0]]
     verdicts = {item.message.verdict for item in drive.recorded["verdict"]}
     assert verdicts >= {"confirmed", "erroneous", "unknown"}
-    said_alike(outs["max"], drive)
+    assert_same_messages(outs["max"], drive)
     of_replay = summary_of(outs["max"])
     for name in ("tentative", "confirmed", "right", "episodes", "controls", "position", "verdicts"):
         assert drive.summary[name] == of_replay[name], name
