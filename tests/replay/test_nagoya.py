@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camber.schemas.drive import load_manifest
-from support.running import camber, in_one_process, assert_same_messages, summary_of
+from support.running import assert_same_messages, camber, in_one_process, summary_of
 
 DRIVE = Path(__file__).with_name("nagoya.toml")
 TIMEOUT_S = 400.0

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from camber.replay.short_drive import write_short_drive
-from support.running import Drive, camber, figures, in_one_process, payloads, assert_same_messages, summary_of
+from support.running import Drive, assert_same_messages, camber, figures, in_one_process, payloads, summary_of
 
 SPEEDS = ("max", "20")
 SEEDS = (1, 2, 3)

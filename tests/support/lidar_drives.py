@@ -34,7 +34,7 @@ from camber.simulator.faults.schedule import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory
-from camber.simulator.scene import Path as Way
+from camber.simulator.scene import Path as DrivenPath
 from camber.simulator.simulated_drive import SENSORS, district_of
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
 from camber.simulator.vehicle.body import CAR, VehicleBody
@@ -112,7 +112,7 @@ class LidarDrive:
     drive_seed: int
     body: VehicleBody
     district: District
-    way: Way
+    path: DrivenPath
     trajectory: Trajectory
     tracer: ShapeTracer
     start_ns: int
@@ -260,7 +260,7 @@ def lidar_drive(
     `traffic`: vehicles around; None: as many as the scenario says, or six. Seconds of faults count from the
     trajectory's beginning (vehicle) and the drive's (LiDAR). Raises ValueError where the route is over by then.
     """
-    world, way, trajectory, settings = _driven(scenario, seed, route, rounds, vehicle_faults)
+    world, path, trajectory, settings = _driven(scenario, seed, route, rounds, vehicle_faults)
     begin_ns = int(trajectory.time_ns[0])
     start_ns, end_ns = (begin_ns + round(t * 10) * (NS // 10) for t in (start_s, start_s + duration_s))
     if end_ns > int(trajectory.time_ns[-1]):
@@ -281,7 +281,7 @@ def lidar_drive(
         drive_seed=drive_seed,
         body=CAR,
         district=world.district,
-        way=way,
+        path=path,
         trajectory=trajectory,
         tracer=world.tracer,
         start_ns=start_ns,
@@ -311,7 +311,7 @@ class _World:
 
 class _Driven(NamedTuple):
     world: _World
-    way: Way
+    path: DrivenPath
     trajectory: Trajectory
     settings: Scenario | None
 
@@ -334,10 +334,10 @@ def _driven(scenario: str, seed: int, route: str, rounds: int, faults: tuple[Fau
         once = district.layout.routes[route]
         often = replace(once, legs=once.legs * rounds)
         district = replace(district, layout=Layout(district.layout.roads, {route: often}))
-    way = district.path(route)
+    path = district.path(route)
     start_ns = load_scenario("city").start_ns if settings is None else settings.start_ns
-    trajectory = drive(way, CAR, start_ns=start_ns, faults=faults)
-    return _Driven(world, way, trajectory, settings)
+    trajectory = drive(path, CAR, start_ns=start_ns, faults=faults)
+    return _Driven(world, path, trajectory, settings)
 
 
 def hill_district(seed: int) -> District:
@@ -415,15 +415,15 @@ def _surveyed(of: _District, links: tuple[int, ...], time_ns: int) -> Path:
 def _road_users(drive: LidarDrive) -> list[RoadUser]:
     """Half of them drive ahead; if there are more, one comes towards the vehicle every 12 s, or at most a hundred."""
     rng = stream(drive.drive_seed, "road users")
-    t, place = drive.trajectory, np.column_stack((drive.way.east_m, drive.way.north_m))
+    t, place = drive.trajectory, np.column_stack((drive.path.east_m, drive.path.north_m))
     begin = int(np.searchsorted(t.time_ns, drive.start_ns))
     driven = np.append(0.0, np.cumsum(t.speed_m_s[:-1] * np.diff(t.time_ns) / 1e9))
-    first_m = _way_at(drive, place, begin)
+    first_m = _arc_length_at(drive, place, begin)
     duration_s = (drive.end_ns - drive.start_ns) / NS
     ahead = drive.traffic // 2
     users = [
         RoadUser(
-            path=drive.way,
+            path=drive.path,
             start_m=first_m + float(rng.uniform(20.0, 40.0)) + 45.0 * k,
             speed_m_s=float(rng.uniform(9.0, 12.0)),
         )
@@ -436,19 +436,19 @@ def _road_users(drive: LidarDrive) -> list[RoadUser]:
         row = min(begin + round(at_s * 100.0), len(driven) - 1)
         met_m = first_m + float(driven[row] - driven[begin])
         start_m = met_m + speed * float(at_s)
-        users.append(RoadUser(path=drive.way, start_m=start_m, speed_m_s=-speed, left_m=-3.5))
+        users.append(RoadUser(path=drive.path, start_m=start_m, speed_m_s=-speed, left_m=-3.5))
     return users
 
 
-def _way_at(drive: LidarDrive, place: Floats, row: int) -> float:
+def _arc_length_at(drive: LidarDrive, place: Floats, row: int) -> float:
     """Metres along the way of the vehicle at a row of the trajectory: the first place that is as near, of rounds."""
     away = np.hypot(*(place - drive.trajectory.origin_m[row, :2]).T)
-    return drive.way.step_m * int(np.flatnonzero(away <= away.min() + 0.05)[0])
+    return drive.path.step_m * int(np.flatnonzero(away <= away.min() + 0.05)[0])
 
 
 def _sensor_ticks(drive: LidarDrive) -> Iterator[Tick]:
     """All but the sweeps, by stamp."""
-    readings = read_sensors(drive.trajectory, drive.body, drive.way.surface_m, SENSORS, drive.drive_seed)
+    readings = read_sensors(drive.trajectory, drive.body, drive.path.surface_m, SENSORS, drive.drive_seed)
     ticks = [Tick(m.time_ns, motion=m) for m in motion_messages(readings)]
     ticks += [Tick(s.time_ns, suspension=s) for s in suspension_messages(readings, SENSORS)]
     ticks += [Tick(r.time_ns, ranging=r) for r in ranging_messages(readings, SENSORS, drive.body)]
