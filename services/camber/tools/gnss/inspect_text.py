@@ -7,6 +7,7 @@ from typing import Any
 
 _LABEL_WIDTH = 14  # chosen: the longest label and a space
 _NOT_KNOWN = "not known"
+_INTEGRITY_LABELS = {"raim": "RAIM", "fix_within_masks": "within masks", "authenticated": "authentic"}
 
 
 def text_of(report: dict[str, Any]) -> str:
@@ -82,10 +83,8 @@ def _times(time: dict[str, Any]) -> Iterator[str]:
         rate = f" ({1.0 / interval_s:.4g} Hz)" if 0.0 < interval_s <= 1.0 else ""
         yield _row("interval", f"{interval_s:g} s{rate}")
     if time["gaps"]:
-        yield _row(
-            "gaps",
-            f"{time['gaps']:,}, together {_duration(time['gaps_s'])}, the longest {_duration(time['longest_gap_s'])}",
-        )
+        together = f"{time['gaps']:,}, together {_duration(time['gaps_s'])}"
+        yield _row("gaps", f"{together}, the longest {_duration(time['longest_gap_s'])}")
         for gap in time["first_gaps"]:
             yield _row("", f"{_duration(gap['length_s'])} after {gap['after']}")
         if time["gaps"] > len(time["first_gaps"]):
@@ -95,9 +94,8 @@ def _times(time: dict[str, Any]) -> Iterator[str]:
     if time["repeated"] or time["late"]:
         yield _row("out of order", f"{time['repeated']:,} repeated, {time['late']:,} late epochs")
     if time["times_it_went_back"]:
-        yield _row(
-            "time went back", f"{time['times_it_went_back']:,} times, to " + ", ".join(time["time_went_back"])
-        )
+        to = ", ".join(time["time_went_back"])
+        yield _row("time went back", f"{time['times_it_went_back']:,} times, to {to}")
 
 
 def _duration(seconds: float) -> str:
@@ -113,36 +111,26 @@ def _duration(seconds: float) -> str:
 def _observations(observed: dict[str, Any], week_from: str) -> Iterator[str]:
     yield from _times(observed["time"])
     if week_from == "file date":
-        yield _row(
-            "week", "guessed from the date of the file, the recording does not say it; --date settles it"
-        )
+        text = "guessed from the date of the file, the recording does not say it; --date settles it"
+        yield _row("week", text)
     each = observed["satellites_an_epoch"]
     if each["mean"] is None:
         return
     yield _row("satellites", f"{each['mean']:.1f} an epoch ({each['least']} to {each['most']})")
     yield ""
-    yield from _table(
-        ["system", ">satellites", ">an epoch", ""],
-        [
-            [
-                s["name"],
-                str(len(s["satellites"])),
-                f"{s['satellites_an_epoch']:.1f}",
-                " ".join(s["satellites"]),
-            ]
-            for s in observed["systems"]
-        ],
-    )
+    systems = [
+        [s["name"], str(len(s["satellites"])), f"{s['satellites_an_epoch']:.1f}", " ".join(s["satellites"])]
+        for s in observed["systems"]
+    ]
+    yield from _table(["system", ">satellites", ">an epoch", ""], systems)
     yield ""
     head = ["signal", ">epochs", ">satellites", ">rows", ">C/N0 mean", ">5 %", ">95 %", ">code", ">phase"]
     yield from _table(
         [*head, ">Doppler", ">half cycle", ">lost lock", ">arcs"], list(map(_signal, observed["signals"]))
     )
-    begun = {reason: n for reason, n in observed["arcs_begun"].items() if n}
+    begun = {reason.replace("_", " "): n for reason, n in observed["arcs_begun"].items() if n}
     yield ""
-    yield _row(
-        "arcs begun", ", ".join(f"{n:,} {reason.replace('_', ' ')}" for reason, n in begun.items()) or "none"
-    )
+    yield _row("arcs begun", _counted(begun) or "none")
 
 
 def _signal(s: dict[str, Any]) -> list[str]:
@@ -178,16 +166,10 @@ def _station(station: dict[str, Any]) -> str:
 
 
 def _ephemerides(report: dict[str, Any]) -> Iterator[str]:
-    rows = [
-        [
-            s["name"],
-            f"{s['ephemerides']:,}",
-            str(len(s["satellites"])),
-            f"{s['first_toe']} to {s['last_toe']}",
-            " ".join(s["unhealthy"]) or "–",
-        ]
-        for s in report["ephemerides"]["systems"]
-    ]
+    rows = []
+    for s in report["ephemerides"]["systems"]:
+        times, unhealthy = f"{s['first_toe']} to {s['last_toe']}", " ".join(s["unhealthy"]) or "–"
+        rows.append([s["name"], f"{s['ephemerides']:,}", str(len(s["satellites"])), times, unhealthy])
     if rows:
         yield from _table(["system", ">sets", ">satellites", "reference times", "unhealthy"], rows)
     if report["ephemerides"]["refused"]:
@@ -200,11 +182,8 @@ def _positions(positions: dict[str, Any] | None, baselines: int) -> Iterator[str
     if positions is not None:
         yield from _times(positions["time"])
         yield _row("quality", _counted(positions["by_quality"]))
-        yield _row(
-            "with",
-            f"{positions['with_covariance']:,} covariance, {positions['with_velocity']:,} velocity, "
-            f"{positions['with_ratio']:,} ratio",
-        )
+        parts = ("covariance", "velocity", "ratio")
+        yield _row("with", ", ".join(f"{positions[f'with_{part}']:,} {part}" for part in parts))
         if positions["oldest_corrections_s"] is not None:
             yield _row("corrections", f"up to {positions['oldest_corrections_s']:g} s old")
         least = positions["least_latitude_longitude_deg_height_m"]
@@ -220,15 +199,8 @@ def _integrity(integrity: dict[str, Any] | None) -> Iterator[str]:
     if integrity is None:
         return
     yield _row("statements", f"{integrity['statements']:,}")
-    names = {
-        "jamming": "jamming",
-        "spoofing": "spoofing",
-        "raim": "RAIM",
-        "fix_within_masks": "within masks",
-        "authenticated": "authentic",
-    }
-    for key, name in names.items():
-        yield _row(name, _counted(integrity[key]))
+    for key in ("jamming", "spoofing", "raim", "fix_within_masks", "authenticated"):
+        yield _row(_INTEGRITY_LABELS.get(key, key), _counted(integrity[key]))
     for axis in ("horizontal", "vertical"):
         levels_m = integrity.get(f"{axis}_protection_level_m")
         if levels_m is not None:
@@ -261,8 +233,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
     lines = [[name.removeprefix(">") for name in head], *rows]
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
     for line in lines:
-        cells = (
-            text.rjust(width) if to_right else text.ljust(width)
-            for text, width, to_right in zip(line, widths, right, strict=True)
-        )
+        columns = zip(line, widths, right, strict=True)
+        cells = (text.rjust(width) if to_right else text.ljust(width) for text, width, to_right in columns)
         yield "  ".join(cells).rstrip()

@@ -179,6 +179,5 @@ def _base_position(
     except ValueError:
         notes.append(f"{base.name}: APPROX POSITION XYZ is no place on earth")
         return None, "nothing"
-    return np.array(
-        marker.ecef_from_enu(east_m, north_m, up_m)
-    ), "the header of the base's RINEX file (may be approximate)"
+    source = "the header of the base's RINEX file (may be approximate)"
+    return np.array(marker.ecef_from_enu(east_m, north_m, up_m)), source

@@ -29,6 +29,9 @@ _BATCH = 256  # chosen: epochs counted in one vectorized step
 _GAP = 1.5  # chosen: a step of more intervals has lost at least one epoch
 _STEPS_OF_CN0 = 10  # chosen: 0.1 dB-Hz
 _MOST_CN0_DBHZ = 100  # chosen: above the range of RTCM DF408 (64 dB-Hz) and of any receiver
+_MEASURED = {
+    "code": "pseudorange_m", "phase": "carrier_phase_cycles", "doppler": "doppler_hz", "cn0": "cn0_dbhz",
+}  # fmt: skip
 _SYSTEM_NAMES = {"G": "GPS", "J": "QZSS", "E": "Galileo", "C": "BeiDou"}
 _INTEGRITY_FIELDS = ("jamming", "spoofing", "raim", "fix_within_masks", "authenticated")
 
@@ -64,17 +67,18 @@ class TimeLine:
     def report(self) -> dict[str, Any]:
         """Gaps are steps of more than one and a half intervals; the interval is the median step."""
         times_ns = np.frombuffer(self._times_ns, np.int64)
+        first_ns, last_ns = (int(times_ns[0]), int(times_ns[-1])) if times_ns.size else (None, None)
         steps_ns = np.diff(times_ns)
         forward_ns = steps_ns[steps_ns > 0]
         interval_ns = float(np.median(forward_ns)) if forward_ns.size else None
         gaps = np.zeros(0, np.int64) if interval_ns is None else np.flatnonzero(steps_ns > _GAP * interval_ns)
         return {
             "epochs": self._epochs,
-            "first_ns": int(times_ns[0]) if times_ns.size else None,
-            "last_ns": int(times_ns[-1]) if times_ns.size else None,
-            "first": None if not times_ns.size else time_text(int(times_ns[0])),
-            "last": None if not times_ns.size else time_text(int(times_ns[-1])),
-            "duration_s": None if not times_ns.size else float(times_ns[-1] - times_ns[0]) * _NS,
+            "first_ns": first_ns,
+            "last_ns": last_ns,
+            "first": None if first_ns is None else time_text(first_ns),
+            "last": None if last_ns is None else time_text(last_ns),
+            "duration_s": None if first_ns is None or last_ns is None else float(last_ns - first_ns) * _NS,
             "interval_s": None if interval_ns is None else round(interval_ns * _NS, 4),
             "gaps": gaps.size,
             "gaps_s": float(steps_ns[gaps].sum()) * _NS,
@@ -102,18 +106,13 @@ class _Signal:
     def report(self, system: str, signal: str) -> dict[str, Any]:
         counts, rows = self.counts, self.counts["rows"]
         return {
-            "system": system,
-            "signal": signal,
-            "epochs": counts["epochs"],
-            "rows": rows,
+            **{"system": system, "signal": signal, "epochs": counts["epochs"], "rows": rows},
             "satellites": sorted(satellite_name(s) for s in self.satellites),
             "cn0_mean_dbhz": round(self.cn0_sum_dbhz / counts["cn0"], 2) if counts["cn0"] else None,
             "cn0_p05_dbhz": _quantile(self.cn0, 0.05),
             "cn0_p95_dbhz": _quantile(self.cn0, 0.95),
             **{f"with_{what}": counts[what] / rows for what in ("code", "phase", "doppler")},
-            "half_cycle": counts["half_cycle"],
-            "loss_of_lock": counts["loss_of_lock"],
-            "arcs": counts["arcs"],
+            **{what: counts[what] for what in ("half_cycle", "loss_of_lock", "arcs")},
         }
 
 
@@ -151,9 +150,7 @@ class ObservationSummary:
     def report(self) -> dict[str, Any]:
         """All that was counted."""
         self._count()
-        signals = {
-            (chr(key >> 16), signal_name(key & 0xFFFF)): of_signal for key, of_signal in self._signals.items()
-        }
+        signals = {(chr(key >> 16), signal_name(key & 0xFFFF)): each for key, each in self._signals.items()}
         in_order = sorted(signals, key=lambda name: ("GJEC".find(name[0]), name))
         sizes = self._satellites_of_epochs
         begun = np.zeros(len(REASONS), np.int64) if self._tracker is None else self._tracker.begun
@@ -188,20 +185,19 @@ class ObservationSummary:
         epochs, self._waiting = self._waiting, []
         if not epochs:
             return
-        satellite = np.concatenate([epoch.satellite for epoch in epochs])
-        signal = np.concatenate([epoch.signal for epoch in epochs])
+
+        def column(name: str) -> NDArray[Any]:
+            return np.concatenate([getattr(epoch, name) for epoch in epochs])
+
+        satellite, signal = column("satellite"), column("signal")
         number = np.repeat(np.arange(len(epochs)), [epoch.satellite.size for epoch in epochs])
         self._count_satellites(number, satellite, len(epochs))
         keys, place = np.unique((satellite >> 8 << 16) + signal, return_inverse=True)
-        cn0 = np.concatenate([epoch.cn0_dbhz for epoch in epochs])
+        cn0 = column("cn0_dbhz")
         rows = {
             "rows": np.ones(satellite.size, np.bool_),
-            "code": np.isfinite(np.concatenate([epoch.pseudorange_m for epoch in epochs])),
-            "phase": np.isfinite(np.concatenate([epoch.carrier_phase_cycles for epoch in epochs])),
-            "doppler": np.isfinite(np.concatenate([epoch.doppler_hz for epoch in epochs])),
-            "cn0": np.isfinite(cn0),
-            "half_cycle": np.concatenate([epoch.half_cycle for epoch in epochs]),
-            "loss_of_lock": np.concatenate([epoch.loss_of_lock for epoch in epochs]),
+            **{name: np.isfinite(column(values)) for name, values in _MEASURED.items()},
+            **{name: column(name) for name in ("half_cycle", "loss_of_lock")},
             "arcs": self._arcs_begun(epochs),
         }
         counts = {name: np.bincount(place[mask], minlength=keys.size) for name, mask in rows.items()}
@@ -209,10 +205,10 @@ class ObservationSummary:
         counts["epochs"] = np.bincount(once, minlength=keys.size)
         step = np.clip(np.nan_to_num(cn0) * _STEPS_OF_CN0 + 0.5, 0, _MOST_CN0_DBHZ * _STEPS_OF_CN0)
         for k, key in enumerate(keys.tolist()):
-            of_signal, mine = self._signals[key], place == k
+            of_signal, is_of_signal = self._signals[key], place == k
             of_signal.counts.update({name: int(count[k]) for name, count in counts.items()})
-            of_signal.satellites.update(np.unique(satellite[mine]).tolist())
-            known = mine & rows["cn0"]
+            of_signal.satellites.update(np.unique(satellite[is_of_signal]).tolist())
+            known = is_of_signal & rows["cn0"]
             of_signal.cn0_sum_dbhz += float(cn0[known].sum())
             of_signal.cn0 += np.bincount(step[known].astype(np.int64), minlength=of_signal.cn0.size)
 
@@ -282,10 +278,8 @@ class PositionSummary:
 
     def __init__(self) -> None:
         self._times = TimeLine()
-        self._counts: Counter[str] = Counter()
-        self._qualities: Counter[str] = Counter()
-        self._least = np.full(3, np.inf)
-        self._most = np.full(3, -np.inf)
+        self._counts, self._qualities = Counter[str](), Counter[str]()
+        self._least, self._most = np.full(3, np.inf), np.full(3, -np.inf)
         self._oldest_s: float | None = None
 
     def add(self, solution: ReceiverSolution) -> None:

@@ -58,13 +58,9 @@ def draw_clouds(axes: Axes, release: Release, frame: LocalFrame) -> None:
             image = np.zeros((*shape, 4))
             image[..., :3] = np.array(colour) / 255.0
             image[..., 3] = np.clip(counts / full_count, 0.0, 1.0)
+            extent = (*x_limits, *y_limits)
             axes.imshow(
-                image,
-                extent=(*x_limits, *y_limits),
-                origin="lower",
-                aspect="auto",
-                interpolation="nearest",
-                zorder=0.5,
+                image, extent=extent, origin="lower", aspect="auto", interpolation="nearest", zorder=0.5
             )
 
 
