@@ -8,7 +8,7 @@
     publish_time      when the recorder received it, wall clock, Unix nanoseconds
     sequence          the sender's, modulo 2**32
 
-`Recorder.tick_done` writes what came in the order of time of measurement, channel table, key and sequence:
+`Recorder.tick_done` writes messages in the order of time of measurement, channel table, key and sequence:
 two replays of one drive differ only in `publish_time`. Source: MCAP 1.0 specification, mcap.dev.
 """
 
@@ -64,7 +64,7 @@ _DAMAGE = (
 
 
 class RecordingError(FormatError):
-    """A recording is damaged, cut short, or holds messages that this version cannot read."""
+    """A recording is damaged, truncated, or contains messages that this version cannot read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +99,7 @@ class Recorder:
         self.written = 0
         self.dropped = 0
         self.malformed = 0
-        self._in_chunk = 0  # of those written: what is in the open chunk, in memory
+        self._in_chunk = 0  # messages of the open chunk, in memory
         self._path = path
         self._limit_bytes = limit_bytes
         self._lock = threading.Lock()

@@ -54,7 +54,7 @@ class Decoded:
 
     `refused` counts by reason, `details` is the last text of each. `session` distinguishes runs of the sensor, where
     packets contain it. `wrong_rotation` are the packets refused because the sensor does not rotate as it should
-    (reason `turn`): what came before them of a rotation is void.
+    (reason `turn`): earlier packets of the same rotation are void.
     """
 
     stamp_ns: list[int | None]

@@ -2,7 +2,7 @@
 
 Source: "Lidar data packet format" and "Coordinate frames and XYZ calculation" of Ouster's firmware manual. A packet
 is 16 columns; in each its time [ns], its place in the turn, whether it is valid, and for all beams range and
-reflectivity. All beams of a column fire together. Of two returns the stronger one, which stands first, is taken. Points
+reflectivity. All beams of a column fire together. Of two returns the first, which is the stronger one, is taken. Points
 are in the sensor frame: the lidar frame turned by the metadata's `lidar_to_sensor_transform`, x away from the plug.
 """
 
@@ -132,7 +132,7 @@ class OusterDecoder:
     def _fits(self, columns: NDArray[Any], numbers: Int64, wrong_before: Sequence[int]) -> Bools:
         """Return which packets (p,) rotate as the metadata say: columns are as far apart in time as in position.
 
-        `wrong_before` are numbers of packets between them that cannot be of such a sensor. Adjacent columns show it at
+        `wrong_before` are the numbers of refused packets between them. Adjacent columns show it at
         once; positions that begin again too early or too late show it once a rotation. From then on nothing is accepted
         until positions have begun again at the right time.
         """

@@ -215,7 +215,7 @@ class VelodyneDecoder:
 
 
 def _rotating(packets: Any) -> Bools:
-    """Return which packets (n,) have azimuths of a sensor that rotates, or stands."""
+    """Return which packets (n,) have azimuths of a rotating or a standing sensor."""
     azimuth = packets["blocks"]["azimuth"].astype(np.int64)
     # In dual mode two blocks each have the same azimuth.
     steps = (azimuth[:, 2:] - azimuth[:, :-2]) % _TURN

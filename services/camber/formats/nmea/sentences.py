@@ -138,23 +138,24 @@ class SentenceFields:
 
     def latitude_rad(self, index: int) -> float:
         """Return the latitude [rad] of this field and the hemisphere in the next."""
-        match = _LATITUDE.fullmatch(self.text(index))
-        return self._angle_rad(index, match, name="latitude", form="ddmm.mmmm", limit_deg=90.0, signs="NS")
+        return self._angle_rad(index, _LATITUDE, "latitude", ("ddmm.mmmm", 90.0, "NS"))
 
     def longitude_rad(self, index: int) -> float:
         """Return the longitude [rad] of this field and the hemisphere in the next."""
-        match = _LONGITUDE.fullmatch(self.text(index))
-        return self._angle_rad(index, match, name="longitude", form="dddmm.mmmm", limit_deg=180.0, signs="EW")
+        return self._angle_rad(index, _LONGITUDE, "longitude", ("dddmm.mmmm", 180.0, "EW"))
 
     def _angle_rad(
-        self, index: int, match: re.Match[str] | None, *, name: str, form: str, limit_deg: float, signs: str
+        self, index: int, pattern: re.Pattern[str], name: str, expected: tuple[str, float, str]
     ) -> float:
+        """`expected`: form, greatest angle [deg], letters of the hemispheres."""
+        form, limit_deg, signs = expected
+        match = pattern.fullmatch(self.text(index))
         minutes = float(match[2]) if match else math.nan
         value_deg = float(match[1]) + minutes / 60.0 if match else math.nan
         if not (minutes < 60.0 and value_deg <= limit_deg):
             raise self.error(index, name, f"{form} up to {limit_deg:g} degrees, minutes below 60")
         sign = self.text(index + 1)
-        if sign not in (signs[0], signs[1]):
+        if sign not in tuple(signs):
             raise self.error(index + 1, f"{name} hemisphere", f"{signs[0]} or {signs[1]}")
         return math.radians(value_deg if sign == signs[0] else -value_deg)
 

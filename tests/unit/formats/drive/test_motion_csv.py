@@ -42,9 +42,7 @@ def test_attitude_may_follow_and_an_empty_field_is_not_known(tmp_path: Path) -> 
         "time_ns,wheel_speed_m_s,yaw_rate_rad_s,pitch_rad,roll_rad",
     ],
 )
-def test_other_columns_are_refused_by_one_line_that_says_which_there_may_be(
-    tmp_path: Path, header: str
-) -> None:
+def test_other_columns_are_refused_with_the_expected_ones(tmp_path: Path, header: str) -> None:
     with pytest.raises(FormatError) as error:
         read_motion(written(tmp_path, f"{header}\n"))
     assert f"expected {PLAIN}, or that and pitch_rad,roll_rad" in str(error.value)
@@ -66,7 +64,7 @@ def test_suspension_has_no_further_columns(tmp_path: Path) -> None:
         read_suspension(path)
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_values_are_read_back(tmp_path: Path) -> None:
     path = tmp_path / "motion.csv"
     plain = [Motion(time_ns=T + 1, wheel_speed_m_s=2.0), Motion(time_ns=T + 2)]
     tilted = [

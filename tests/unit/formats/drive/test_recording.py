@@ -229,7 +229,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_program(tick: int) -> None:
 
 
 @pytest.mark.parametrize("limit_bytes", [100, 40_000, 1_000_000])
-def test_where_the_disk_is_full_what_counts_as_written_can_be_read(tmp_path: Path, limit_bytes: int) -> None:
+def test_messages_counted_as_written_can_be_read_after_a_full_disk(tmp_path: Path, limit_bytes: int) -> None:
     rng = np.random.default_rng(limit_bytes)
     path = tmp_path / "recording.mcap"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

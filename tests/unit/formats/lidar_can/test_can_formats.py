@@ -97,7 +97,7 @@ def signal_at(start: int, bits: int, *, intel: bool, signed: bool = False) -> Db
     return DbcSignal(message="M", name="s", start_bit=start, bits=bits, intel=intel, signed=signed, **scaling)  # type: ignore[arg-type]
 
 
-def test_bits_are_where_the_format_says() -> None:
+def test_bit_positions_in_both_byte_orders() -> None:
     """Worked by hand: 0x1234 as Motorola's from bit 7 of byte 0, as Intel's from bit 4."""
     assert signal_at(7, 16, intel=False).raw(bytes.fromhex("1234")) == 0x1234
     intel = signal_at(4, 16, intel=True)

@@ -286,7 +286,7 @@ def test_a_sweep_survives_its_file(tmp_path: Path) -> None:
     assert same(read_pcd(path), cloud)
 
 
-def test_a_sweep_s_file_says_when_it_was_made(tmp_path: Path) -> None:
+def test_a_sweep_file_is_named_after_its_time(tmp_path: Path) -> None:
     for name in ("sweep.pcd", "12.pcd", "٣.pcd"):
         write_pcd(tmp_path / name, a_cloud())
         with pytest.raises(FormatError, match="GPS time"):

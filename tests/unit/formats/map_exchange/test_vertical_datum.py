@@ -65,7 +65,7 @@ def test_without_its_grid_a_vertical_datum_is_refused_and_the_grid_named(
         ("EPSG:5773", "Atlantis", "one that PROJ knows"),
     ],
 )
-def test_what_cannot_be_converted_exactly_is_refused(name: str, datum: str, expected: str) -> None:
+def test_inexact_conversions_are_refused(name: str, datum: str, expected: str) -> None:
     with pytest.raises(FormatError, match=expected):
         convert(name, datum, math.radians(48.1), math.radians(11.6))
 
@@ -96,7 +96,7 @@ def test_with_its_grid_the_undulation_at_each_place_is_added() -> None:
         datum.ellipsoidal_m(np.radians([60.0]), np.radians([9.0]), HEIGHT[:1], "street.osm")
 
 
-def test_a_constant_undulation_is_recorded_as_what_it_is() -> None:
+def test_a_constant_undulation_is_recorded_as_a_surrogate() -> None:
     datum = constant_undulation(45.2, 0.1, "levelled mark 17")
     assert datum.ellipsoidal_m(LATITUDE, LONGITUDE, HEIGHT, "a.osm").tolist() == [225.2, 226.7]
     assert "levelled mark 17" in datum.surrogate

@@ -147,7 +147,7 @@ def test_age_of_a_single_solution_is_unknown() -> None:
         (DATUM + COLUMNS.replace("ratio", "Q"), "each name once"),
     ],
 )
-def test_headers_that_cannot_be_read_are_refused_once(header: str, expected: str) -> None:
+def test_unreadable_headers_are_refused_once(header: str, expected: str) -> None:
     decoder = PosDecoder("rover.pos")
     results = decoder.feed((header + ROW * 3).encode())
     assert [type(result) for result in results] == [FormatError]

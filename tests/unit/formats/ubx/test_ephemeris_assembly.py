@@ -281,7 +281,7 @@ def test_subframes_without_time_are_counted():
 
 @given(SEEDS, st.integers(0, 16), st.sampled_from([0, 2, 3, 5]), st.integers(0, 12))
 @settings(derandomize=True, max_examples=300, deadline=None)
-def test_random_words_give_nothing(seed, count, gnss_id, signal_id):
+def test_random_words_yield_no_ephemeris(seed, count, gnss_id, signal_id):
     rng = np.random.default_rng(seed)
     payload = bytes([gnss_id, int(rng.integers(0, 256)), signal_id, 0, count, 0, 2, 0]) + rng.bytes(4 * count)
     decoder = UbxDecoder("port", 2300 * WEEK_NS)

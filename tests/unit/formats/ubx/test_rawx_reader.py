@@ -53,7 +53,7 @@ def row(gnss=0, sv=5, sig=0, pseudorange=2.1e7, phase=1.1e8, doppler=-900.5, loc
 
 @given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_what_is_written_is_read(seed, time_ns, missing):
+def test_written_values_are_read_back(seed, time_ns, missing):
     rng = np.random.default_rng(seed)
     sent = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=6)
     sent = replace(sent, pseudorange_m=sent.pseudorange_m * float(rng.choice([1.0, -1.0, 1e-6])))

@@ -133,7 +133,7 @@ WRITTEN = st.builds(
 
 @given(WRITTEN, st.booleans())
 @settings(derandomize=True, max_examples=200, deadline=None)
-def test_what_is_written_is_read(solution, precise):
+def test_written_values_are_read_back(solution, precise):
     frames = [pvt(solution), hp(solution)] if precise else [pvt(solution)]
     results, messages = run(*frames)
     decoded = only(results, ReceiverSolution)
@@ -178,7 +178,7 @@ def test_order_within_an_epoch_does_not_matter():
         assert run(*frames, eoe())[0] == expected
 
 
-def test_end_without_an_epoch_gives_nothing():
+def test_an_end_without_an_epoch_yields_no_result():
     results, messages = run(eoe(), eoe(), near_ns=START_NS)
     assert results == []
     assert (messages.without_time, messages.epochs_without_position) == (0, 0)
