@@ -22,6 +22,7 @@ from camber.simulator.fleet import (
     vehicles_of,
 )
 from camber.simulator.scene import Path
+from support.simulated_paths import path_over
 from support.small_map import FRAME, surface, surfaces
 
 START_NS = 1_400_000_000 * 1_000_000_000
@@ -38,24 +39,8 @@ HONEST = FleetVehicle(name="car00000", bias_m=0.0, attack_m=0.0)
 
 def straight(raised_m: float = 0.0) -> Path:
     """200 m to the east at 50 m with 3 % crossfall, and 50 m more that no map has."""
-    n = 2501
-    zeros = np.zeros(n)
-    return Path(
-        step_m=0.1,
-        east_m=np.arange(n) * 0.1,
-        north_m=zeros,
-        up_m=np.full(n, 50.0 + raised_m),
-        yaw_rad=zeros,
-        grade=zeros,
-        crossfall=np.full(n, 0.03),
-        level=np.zeros(n, np.int64),
-        link_id=np.ones(n, np.int64),
-        link_offset_m=zeros,
-        speed_limit_m_s=np.full(n, 10.0),
-        stop_s=zeros,
-        tunnel=np.zeros(n, bool),
-        surface_m=lambda east, north, level: 50.0 + raised_m + 0.03 * north,
-    )
+    sloping = path_over(lambda east, north: 50.0 + raised_m + 0.03 * north, np.zeros(2501), step_m=0.1)
+    return replace(sloping, link_id=np.ones(2501, np.int64))
 
 
 def make_track(raised_m: float = 0.0) -> FleetTrack:

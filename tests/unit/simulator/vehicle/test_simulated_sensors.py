@@ -23,9 +23,10 @@ from camber.simulator.vehicle.sensors import (
     VehicleReadings,
     WheelSensor,
     distance_to_road_m,
+    edge_times,
     read_sensors,
+    speed_of_edges,
 )
-from camber.simulator.vehicle.wheel_pulses import edge_times, speed_of_edges
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
 
 START_NS = 1_400_000_000 * 1_000_000_000
