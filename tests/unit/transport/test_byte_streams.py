@@ -159,23 +159,11 @@ def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, re
 @pytest.mark.parametrize(
     "url",
     [
-        "",
-        "bus",
-        "file:",
-        "tcp:",
-        "tcp:host",
-        "tcp::2101",
-        "tcp:host:port",
-        "tcp:host:0",
-        "tcp:host:70000",
-        "tcp:host:²",
-        "serial:",
-        "serial::9600",
-        "serial:/dev/ttyS0:0",
-        "udp:host:1",
+        "", "bus", "file:", "tcp:", "tcp:host", "tcp::2101", "tcp:host:port", "tcp:host:0",
+        "tcp:host:70000", "tcp:host:²", "serial:", "serial::9600", "serial:/dev/ttyS0:0", "udp:host:1",
         "http://host:1/BASE",
     ],
-)
+)  # fmt: skip
 def test_malformed_source_is_refused_with_the_expected_form(url: str) -> None:
     with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT or serial:DEVICE") as raised:
         parse_source(url)
@@ -185,18 +173,11 @@ def test_malformed_source_is_refused_with_the_expected_form(url: str) -> None:
 @pytest.mark.parametrize(
     "url",
     [
-        "ntrip:",
-        "ntrip://",
-        "ntrip:host:2101/BASE",
-        "ntrip://host/BASE",
-        "ntrip://host:2101",
-        "ntrip://host:2101/",
-        "ntrip://host:70000/BASE",
-        "ntrip://host:2101/BA SE",
-        "ntrip://host:2101/BASE\r\nX: y",
-        "ntrip://höst:2101/BASE",
+        "ntrip:", "ntrip://", "ntrip:host:2101/BASE", "ntrip://host/BASE", "ntrip://host:2101",
+        "ntrip://host:2101/", "ntrip://host:70000/BASE", "ntrip://host:2101/BA SE",
+        "ntrip://host:2101/BASE\r\nX: y", "ntrip://höst:2101/BASE",
     ],
-)
+)  # fmt: skip
 def test_malformed_mountpoint_is_refused_with_the_expected_form(url: str) -> None:
     with pytest.raises(ValueError, match="expected ntrip://HOST:PORT/MOUNT"):
         parse_source(url)
