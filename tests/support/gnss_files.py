@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
@@ -36,6 +39,13 @@ class RinexNavigation:
     klobuchar: Mapping[str, IonosphereCoefficients]
     leap_seconds: int | None
     problems: list[FormatError]
+
+
+def recording(name: str) -> Path:
+    """The folder of a recording in CAMBER_DATA; the test is skipped without it."""
+    if "CAMBER_DATA" not in os.environ:
+        pytest.skip("CAMBER_DATA is not set")
+    return Path(os.environ["CAMBER_DATA"]) / name
 
 
 def read_observations(path: Path) -> RinexObservations:

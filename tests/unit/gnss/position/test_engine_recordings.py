@@ -1,7 +1,6 @@
 """The engine on recordings of real receivers, beside rnx2rtkp on the same files; needs CAMBER_DATA."""
 
 import functools
-import os
 import subprocess
 import tempfile
 from dataclasses import replace
@@ -15,18 +14,12 @@ from camber.geodesy.gps_time import NS_PER_SECOND, gps_ns_from_week_tow, nanosec
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
 from support.engine_drives import some_rows
-from support.gnss_files import read_navigation, read_observations
+from support.gnss_files import read_navigation, read_observations, recording
 from support.rtklib_runs import OPTIONS, RNX2RTKP
 
 FUJISAWA_BASE_M = np.array([-3959400.631, 3385704.533, 3667523.111])
 HEIGHTS_M = 47.27, 47.62
 """Of the road under the antenna, as the recording's README has it."""
-
-
-def folder(name: str) -> Path:
-    if "CAMBER_DATA" not in os.environ:
-        pytest.skip("CAMBER_DATA is not set")
-    return Path(os.environ["CAMBER_DATA"]) / name
 
 
 def place_m(file: Path) -> np.ndarray:
@@ -37,7 +30,7 @@ def place_m(file: Path) -> np.ndarray:
 @functools.cache
 def files(name: str):
     """Rover, base, ephemerides, the base's place, and the three files."""
-    at = folder({"fujisawa": "fujisawa-2021-09-22", "rooftop": "rooftop-2024-06-24"}[name])
+    at = recording({"fujisawa": "fujisawa-2021-09-22", "rooftop": "rooftop-2024-06-24"}[name])
     if name == "fujisawa":
         paths, base_m = [at / n for n in ("SEPT265G.21O", "3034265G.21O", "SEPT2650.21P")], FUJISAWA_BASE_M
     else:
@@ -126,7 +119,7 @@ def fixes(solutions) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("name", ROOFTOP)
 def test_on_the_rooftop_every_epoch_with_five_satellites_is_fixed_to_a_centimetre_and_a_half(name):
-    truth_m = place_m(folder("rooftop-2024-06-24") / "rover_position.txt")
+    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
     solutions = solved("rooftop", ROOFTOP[name])
     assert len(solutions) == 301
     for s in solutions:
@@ -142,7 +135,7 @@ def test_on_the_rooftop_all_integers_go_on():
 
 
 def test_on_the_rooftop_fixes_are_within_their_covariances():
-    truth_m = place_m(folder("rooftop-2024-06-24") / "rover_position.txt")
+    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
     nees = []
     for s in solved("rooftop", DEFAULTS):
         error = s.position_ecef_m - truth_m
@@ -230,7 +223,7 @@ def test_another_height_of_the_rooftops_base_is_detected(offset_m, with_ionosphe
 
 def test_a_few_satellites_of_the_rooftop_make_no_wrong_fix():
     """Eleven of thirty-six, others in each epoch: fixed or not, never wrong."""
-    truth_m = place_m(folder("rooftop-2024-06-24") / "rover_position.txt")
+    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
     rover, base, ephemerides, base_m, _ = files("rooftop")
     rng = np.random.default_rng(1)
     engine = Engine(ALONE, base_m)
@@ -248,7 +241,7 @@ def test_a_few_satellites_of_the_rooftop_make_no_wrong_fix():
 
 
 def test_slips_and_half_cycles_put_into_the_rooftop_make_no_wrong_fix():
-    truth_m = place_m(folder("rooftop-2024-06-24") / "rover_position.txt")
+    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
     rover, base, ephemerides, base_m, _ = files("rooftop")
     rng = np.random.default_rng(2)
     engine = Engine(DEFAULTS, base_m)

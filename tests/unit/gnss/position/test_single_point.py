@@ -1,7 +1,6 @@
 """Single-point positions against the truth of simulated drives and of recordings, and what wrong codes do to them."""
 
 import functools
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,16 +27,13 @@ from camber.simulator.satellites.constellation import broadcast_ephemerides, tru
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.track import static_track
-from support.gnss_files import read_navigation, read_observations
+from support.engine_drives import some_rows
+from support.gnss_files import read_navigation, read_observations, recording
 
 KLOBUCHAR = np.array([*KLOBUCHAR_ALPHA, *KLOBUCHAR_BETA])
 FRAME = LocalFrame(np.deg2rad(35.17), np.deg2rad(136.9), 0.0)
 PLACE_M = (40.0, -30.0, 55.0)
 FIRST_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 0, 0, 0))
-COLUMNS = (
-    "satellite", "signal", "pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz", "lock_time_s",
-    "loss_of_lock", "half_cycle",
-)  # fmt: skip
 
 
 @functools.cache
@@ -78,12 +74,8 @@ def excluded(point: SinglePoint) -> list[str]:
     return [satellite_name(s) for s in point.satellite[point.excluded].tolist()]
 
 
-def rows_of(epoch: ObservationEpoch, rows: np.ndarray) -> ObservationEpoch:
-    return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
-
-
 def of_systems(epoch: ObservationEpoch, systems: str) -> ObservationEpoch:
-    return rows_of(epoch, np.isin(epoch.satellite >> 8, [ord(c) for c in systems]))
+    return some_rows(epoch, np.isin(epoch.satellite >> 8, [ord(c) for c in systems]))
 
 
 def with_codes(
@@ -173,7 +165,7 @@ def test_neither_the_order_nor_a_constant_changes_a_position(order, constant_m):
     rows = np.arange(whole.satellite.size)
     mixed = np.concatenate([rows[k::12] for k in order])
     straight = position_of(whole, store)
-    other = rows_of(with_codes(whole, lambda p, _: p + constant_m), mixed)
+    other = some_rows(with_codes(whole, lambda p, _: p + constant_m), mixed)
     point = position_of(other, store)
     # A constant is also a shift of the times of transmission: 10 km are 33 µs, in which satellites move 0.1 m.
     moved = abs(constant_m) / SPEED_OF_LIGHT_M_S * 1000.0
@@ -191,7 +183,7 @@ def test_one_wrong_satellite_is_left_out_and_named(error_m):
         for satellite in straight.satellite[straight.used][::4].tolist():
             point = position_of(wrong_by(epochs[0], {satellite: error_m}), store)
             assert (point.status, excluded(point)) == ("ok", [satellite_name(satellite)])
-            expected = position_of(rows_of(epochs[0], epochs[0].satellite != satellite), store)
+            expected = position_of(some_rows(epochs[0], epochs[0].satellite != satellite), store)
             np.testing.assert_allclose(point.position_ecef_m, expected.position_ecef_m, atol=1e-3)
 
 
@@ -236,7 +228,7 @@ def test_five_satellites_of_which_one_is_wrong_are_inconsistent():
     epochs, store = open_sky(1)
     straight = position_of(of_systems(epochs[0], "G"), store)
     five = straight.satellite[straight.used][:5]
-    epoch = rows_of(epochs[0], np.isin(epochs[0].satellite, five))
+    epoch = some_rows(epochs[0], np.isin(epochs[0].satellite, five))
     assert position_of(epoch, store).status == "ok"
     point = position_of(wrong_by(epoch, {int(five[2]): 1000.0}), store)
     assert point.status == "inconsistent"
@@ -247,9 +239,9 @@ def test_four_satellites_are_ok_and_untested_three_are_too_few():
     epochs, store = open_sky(1)
     straight = position_of(of_systems(epochs[0], "G"), store)
     some = straight.satellite[straight.used]
-    four = position_of(rows_of(epochs[0], np.isin(epochs[0].satellite, some[:4])), store)
+    four = position_of(some_rows(epochs[0], np.isin(epochs[0].satellite, some[:4])), store)
     assert (four.status, four.degrees) == ("ok", 0)
-    three = position_of(rows_of(epochs[0], np.isin(epochs[0].satellite, some[:3])), store)
+    three = position_of(some_rows(epochs[0], np.isin(epochs[0].satellite, some[:3])), store)
     assert three.status == "too_few"
     assert np.isnan(three.position_ecef_m).all()
     assert not three.used.any()
@@ -257,7 +249,7 @@ def test_four_satellites_are_ok_and_untested_three_are_too_few():
 
 def test_an_epoch_without_satellites_or_without_ephemerides_has_too_few():
     epochs, store = open_sky(1)
-    none = rows_of(epochs[0], np.zeros(epochs[0].satellite.size, np.bool_))
+    none = some_rows(epochs[0], np.zeros(epochs[0].satellite.size, np.bool_))
     assert single_point(none, store).status == "too_few"
     point = position_of(epochs[0], EphemerisStore())
     assert point.status == "too_few"
@@ -267,7 +259,7 @@ def test_an_epoch_without_satellites_or_without_ephemerides_has_too_few():
 def test_satellites_given_twice_count_once():
     epochs, store = open_sky(2)
     rows = np.arange(epochs[0].satellite.size)
-    twice = rows_of(epochs[0], np.concatenate((rows, rows[::-1], rows)))
+    twice = some_rows(epochs[0], np.concatenate((rows, rows[::-1], rows)))
     straight = position_of(epochs[0], store)
     point = position_of(twice, store)
     np.testing.assert_array_equal(point.position_ecef_m, straight.position_ecef_m)
@@ -277,7 +269,7 @@ def test_satellites_given_twice_count_once():
 def test_one_satellite_over_and_over_gives_no_position():
     epochs, store = open_sky(2)
     one = np.flatnonzero(epochs[0].satellite == single_point(epochs[0], store).satellite[0])[:1]
-    assert single_point(rows_of(epochs[0], np.repeat(one, 60)), store).status == "too_few"
+    assert single_point(some_rows(epochs[0], np.repeat(one, 60)), store).status == "too_few"
 
 
 def test_satellites_in_one_direction_are_degenerate():
@@ -290,7 +282,7 @@ def test_satellites_in_one_direction_are_degenerate():
     copies = [satellite_number(f"G{k:02d}") for k in range(1, 9)]
     doubled = filled([replace(e, satellite=s) for e in of_first for s in copies])
     rows = np.flatnonzero(epochs[0].satellite == first)[:1]
-    epoch = rows_of(epochs[0], np.repeat(rows, len(copies)))
+    epoch = some_rows(epochs[0], np.repeat(rows, len(copies)))
     epoch = replace(epoch, satellite=np.array(copies))
     assert position_of(epoch, doubled).status in ("degenerate", "no_convergence")
 
@@ -310,7 +302,7 @@ def test_whatever_an_epoch_holds_nothing_is_raised_and_nothing_is_nan_where_the_
     epochs, store = open_sky(5)
     rng = np.random.default_rng(random.randrange(2**32))
     base = epochs[0]
-    epoch = rows_of(base, rng.integers(0, base.satellite.size, count))
+    epoch = some_rows(base, rng.integers(0, base.satellite.size, count))
     wild = np.array([np.nan, np.inf, -np.inf, 0.0, -1e7, 1e30, 2.2e7])
     hit = rng.random(count) < rng.random()
     codes = np.where(hit, rng.choice(wild, count), epoch.pseudorange_m)
@@ -328,13 +320,6 @@ def test_whatever_an_epoch_holds_nothing_is_raised_and_nothing_is_nan_where_the_
         assert np.isfinite(point.residual_m[point.used]).all()
     else:
         assert np.isnan(point.position_ecef_m).all()
-
-
-def recording(name: str) -> Path:
-    root = os.environ.get("CAMBER_DATA")
-    if root is None:
-        pytest.skip("CAMBER_DATA is not set")
-    return Path(root) / name
 
 
 def of_file(file: Path) -> tuple[EphemerisStore, np.ndarray]:

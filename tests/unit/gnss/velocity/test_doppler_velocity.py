@@ -2,9 +2,7 @@
 
 import functools
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,14 +27,11 @@ from camber.simulator.satellites.constellation import broadcast_ephemerides, tru
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.track import AntennaTrack
-from support.gnss_files import read_navigation, read_observations
+from support.engine_drives import some_rows
+from support.gnss_files import read_navigation, read_observations, recording
 
 FRAME = LocalFrame(np.deg2rad(35.17), np.deg2rad(136.9), 0.0)
 FIRST_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 0, 0, 0))
-COLUMNS = (
-    "satellite", "signal", "pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz", "lock_time_s",
-    "loss_of_lock", "half_cycle",
-)  # fmt: skip
 
 
 @functools.cache
@@ -60,10 +55,6 @@ def circle(
 
 def velocity_of(epoch: ObservationEpoch, store: EphemerisStore) -> DopplerVelocity:
     return doppler_velocity(epoch, single_point(epoch, store))
-
-
-def rows_of(epoch: ObservationEpoch, rows: np.ndarray) -> ObservationEpoch:
-    return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
 
 
 def satellites(epoch: ObservationEpoch, store: EphemerisStore, rows: np.ndarray) -> list[int]:
@@ -166,7 +157,7 @@ def test_of_two_codes_of_a_band_the_one_with_the_better_carrier_to_noise_counts(
     epochs, _, store = circle(3)
     rows = np.arange(epochs[4].satellite.size)
     straight = velocity_of(epochs[4], store)
-    twice = rows_of(epochs[4], np.concatenate((rows, rows)))
+    twice = some_rows(epochs[4], np.concatenate((rows, rows)))
     worse = np.arange(twice.satellite.size) >= rows.size
     twice = replace(
         twice, doppler_hz=twice.doppler_hz + 300.0 * worse, cn0_dbhz=twice.cn0_dbhz - 10.0 * worse
@@ -181,7 +172,7 @@ def test_the_order_of_rows_does_not_matter(order):
     epochs, _, store = circle(3)
     rows = np.arange(epochs[4].satellite.size)
     straight = velocity_of(epochs[4], store)
-    velocity_ = velocity_of(rows_of(epochs[4], np.concatenate([rows[k::9] for k in order])), store)
+    velocity_ = velocity_of(some_rows(epochs[4], np.concatenate([rows[k::9] for k in order])), store)
     np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
 
 
@@ -189,7 +180,7 @@ def test_rows_given_twice_count_once():
     epochs, _, store = circle(3)
     rows = np.arange(epochs[4].satellite.size)
     straight = velocity_of(epochs[4], store)
-    velocity_ = velocity_of(rows_of(epochs[4], np.concatenate((rows, rows))), store)
+    velocity_ = velocity_of(some_rows(epochs[4], np.concatenate((rows, rows))), store)
     np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-12)
     np.testing.assert_allclose(velocity_.covariance_enu_m2_s2, straight.covariance_enu_m2_s2, rtol=1e-9)
 
@@ -220,7 +211,7 @@ def test_without_doppler_without_satellites_or_without_a_position_there_is_no_ve
     epoch = epochs[0]
     blind = velocity_of(replace(epoch, doppler_hz=np.full(epoch.doppler_hz.size, np.nan)), store)
     assert blind.status == "too_few"
-    assert velocity_of(rows_of(epoch, np.zeros(0, np.int64)), store).status == "no_position"
+    assert velocity_of(some_rows(epoch, np.zeros(0, np.int64)), store).status == "no_position"
     assert velocity_of(epoch, EphemerisStore()).status == "no_position"
     some = single_point(epoch, store).satellite[:3]
     three = doppler_velocity(
@@ -239,7 +230,7 @@ def test_without_doppler_without_satellites_or_without_a_position_there_is_no_ve
 def test_whatever_an_epoch_holds_nothing_is_raised(random, count):
     epochs, _, store = circle(1)
     rng = np.random.default_rng(random.randrange(2**32))
-    epoch = rows_of(epochs[0], rng.integers(0, epochs[0].satellite.size, count))
+    epoch = some_rows(epochs[0], rng.integers(0, epochs[0].satellite.size, count))
     wild = np.array([np.nan, np.inf, -np.inf, 0.0, 1e30, -9e4, 5e3])
     doppler = np.where(rng.random(count) < rng.random(), rng.choice(wild, count), epoch.doppler_hz)
     level = np.where(rng.random(count) < 0.2, rng.choice([np.nan, np.inf, -1e9, 0.0], count), epoch.cn0_dbhz)
@@ -254,16 +245,13 @@ def test_whatever_an_epoch_holds_nothing_is_raised(random, count):
 
 @pytest.mark.parametrize("systems", ["GJEC", "GJ"])
 def test_on_a_rooftop_95_of_100_velocities_are_within_5_cm_a_second_of_zero(systems):
-    root = os.environ.get("CAMBER_DATA")
-    if root is None:
-        pytest.skip("CAMBER_DATA is not set")
-    folder = Path(root) / "rooftop-2024-06-24"
+    folder = recording("rooftop-2024-06-24")
     store = EphemerisStore()
     for e in read_navigation(folder / "base.nav").ephemerides:
         store.add(e)
     epochs = read_observations(folder / "rover.obs").epochs
     wanted = [ord(c) for c in systems]
-    velocity_ = [velocity_of(rows_of(e, np.isin(e.satellite >> 8, wanted)), store) for e in epochs]
+    velocity_ = [velocity_of(some_rows(e, np.isin(e.satellite >> 8, wanted)), store) for e in epochs]
     assert len(velocity_) == 301
     assert all(f.status == "ok" and not f.excluded.any() for f in velocity_)
     speeds = [np.linalg.norm(f.velocity_enu_m_s) for f in velocity_]
