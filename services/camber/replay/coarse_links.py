@@ -19,16 +19,17 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 LONGEST_LINK_M = 300.0
-_SPLIT_M = 200.0
+"""Chosen, as all lengths here: of the size found in maps that navigation uses."""
+_SPLIT_M = 200.0  # chosen: the middle of the links' lengths
 _LEVEL_MARGIN_M = 30.0
 """A link over or under another road begins this far before it, so that each link is on one level."""
 _SNAP_M = 10.0
 """Nodes of one road nearer to one another than this are one node; shorter roads between roads have no link."""
-_KNOT_M = 50.0
-_THINNING_SHARE = 1.0 / 6.0
+_KNOT_M = 50.0  # chosen: the error changes more slowly than a road bends
+_THINNING_SHARE = 1.0 / 6.0  # chosen: most of the deviation is left to the error
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneLinks:
     """Link i has id i + 1; `link_of_sample` gives the id of each sample's link."""
 
@@ -63,11 +64,14 @@ def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator)
             vertices.append(moved_m[samples[corners]])
             start.append(node_ids.setdefault(int(samples[0]), len(node_ids) + 1))
             end.append(node_ids.setdefault(int(samples[-1]), len(node_ids) + 1))
-            own = samples[run_of_sample[samples] == r]
-            link_of_sample[own] = len(vertices)
-            level.append(_furthest_from_zero(lines.level[own]))
+            of_run = samples[run_of_sample[samples] == r]
+            link_of_sample[of_run] = len(vertices)
+            level.append(_furthest_from_zero(lines.level[of_run]))
     _lend(lines, link_of_sample)
-    return PlaneLinks(np.array(start), np.array(end), vertices, link_of_sample, np.array(level))
+    return PlaneLinks(
+        start_node=np.array(start), end_node=np.array(end), vertices_m=vertices,
+        link_of_sample=link_of_sample, level=np.array(level),
+    )  # fmt: skip
 
 
 def thinned(line_m: Array, tolerance_m: float) -> Indices:
@@ -132,7 +136,7 @@ def _path(
 
     An end that meets another road goes on to the nearest node of that road.
     """
-    own = np.arange(*lines.runs[run])
+    samples = np.arange(*lines.runs[run])
     nodes = nodes_of_run[run].tolist()
     ends: list[int | None] = []
     for joint in lines.joined[run]:
@@ -143,8 +147,8 @@ def _path(
         ends.append(int(there[np.argmin(np.abs(lines.distance_m[there] - lines.distance_m[joint]))]))
     before = [] if ends[0] is None else [ends[0]]
     after = [] if ends[1] is None else [ends[1]]
-    path = np.concatenate((np.array(before, dtype=np.int64), own, np.array(after, dtype=np.int64)))
-    places = [node - int(own[0]) + len(before) for node in nodes]
+    path = np.concatenate((np.array(before, dtype=np.int64), samples, np.array(after, dtype=np.int64)))
+    places = [node - int(samples[0]) + len(before) for node in nodes]
     if before:
         places[0] = 0
     if after:

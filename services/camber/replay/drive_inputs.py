@@ -8,10 +8,10 @@ Sweeps are not read before their tick.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -49,15 +49,15 @@ class Arrival(Generic[M]):
     message: M
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveTick:
     """All that arrives at one time."""
 
     time_ns: int
-    receiver: tuple[ReceiverBytes, ...]
-    motion: tuple[Motion, ...]
-    suspension: tuple[Suspension, ...]
-    ranging: tuple[Ranging, ...]
+    receiver: tuple[ReceiverBytes, ...] = ()
+    motion: tuple[Motion, ...] = ()
+    suspension: tuple[Suspension, ...] = ()
+    ranging: tuple[Ranging, ...] = ()
     sweeps: tuple[SweepFile, ...] = ()
 
     def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
@@ -73,12 +73,12 @@ class Tick:
                 yield name, message
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DriveInputs:
     """One drive in the order of arrival. `map_release` is a folder; None: the drive has none.
 
-    `greeting` is what a receiver's streams say to whoever connects later: headers, ephemerides. `notes` are lines on
-    what of the drive was left out.
+    `greeting` is what a receiver's streams send first to a client that connects later: headers, ephemerides. `notes`
+    are lines on what of the drive was left out.
     """
 
     manifest: DriveManifest
@@ -111,22 +111,18 @@ class DriveInputs:
         for message in self.greeting:
             yield message.model_copy(update={"time_ns": time_ns})
 
-    def ticks(self) -> Iterator[Tick]:
+    def ticks(self) -> Iterator[DriveTick]:
         """The drive, tick by tick."""
-        receiver, motion = _by_time(self.receiver), _by_time(self.motion)
-        suspension, ranging = _by_time(self.suspension), _by_time(self.ranging)
-        sweeps: dict[int, list[SweepFile]] = {}
-        for file in self.sweeps:
-            sweeps.setdefault(file.time_ns, []).append(file)
+        arrivals: dict[str, tuple[Arrival[Any], ...]] = {"receiver": self.receiver, "motion": self.motion}
+        arrivals |= {"suspension": self.suspension, "ranging": self.ranging}
+        columns = {
+            name: _by_time((arrival.receive_time_ns, arrival.message) for arrival in column)
+            for name, column in arrivals.items()
+        }
+        columns["sweeps"] = _by_time((file.time_ns, file) for file in self.sweeps)
         for time_ns in self.tick_times_ns:
-            yield Tick(
-                time_ns,
-                tuple(receiver.get(time_ns, ())),
-                tuple(motion.get(time_ns, ())),
-                tuple(suspension.get(time_ns, ())),
-                tuple(ranging.get(time_ns, ())),
-                tuple(sweeps.get(time_ns, ())),
-            )
+            at_once = {name: tuple(column.get(time_ns, ())) for name, column in columns.items()}
+            yield DriveTick(time_ns=time_ns, **at_once)
 
 
 def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
@@ -137,63 +133,58 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
     truth = None if manifest.truth is None else read_truth(manifest.truth.file, manifest.truth.format)
     if truth is not None and len(truth) == 0:
         raise ManifestError(f"{manifest.name}: truth.file has no epochs, expected at least one")
-    errors = manifest.surrogates
-    motion = [] if manifest.motion is None else read_motion(manifest.motion.file)
-    if truth is not None and MOTION_SURROGATES & set(errors.inputs):
-        motion = make_motion(truth, errors)
-    moved = _arrivals(motion)
-    suspension = _arrivals([] if manifest.suspension is None else read_suspension(manifest.suspension.file))
-    ranging = _arrivals([] if manifest.ranging is None else read_ranging(manifest.ranging.file))
+    sensors: dict[str, Any] = {
+        name: [] if source is None else read(source.file)
+        for name, source, read in (
+            ("motion", manifest.motion, read_motion),
+            ("suspension", manifest.suspension, read_suspension),
+            ("ranging", manifest.ranging, read_ranging),
+        )
+    }
+    if truth is not None and MOTION_SURROGATES & set(manifest.surrogates.inputs):
+        sensors["motion"] = make_motion(truth, manifest.surrogates)
     sweeps, notes = ([], []) if manifest.sweeps is None else sweep_files(manifest.sweeps.folder)
-    # RTCM does not say its week; whatever else there is does.
-    dated = [
-        *(sample.time_ns for sample in motion[:1]),
-        *([] if truth is None else truth.time_ns[:1].tolist()),
-    ]
+    # RTCM does not give its week; the first motion or truth does.
+    dated = [sample.time_ns for sample in sensors["motion"][:1]]
+    dated += [] if truth is None else truth.time_ns[:1].tolist()
     streams = read_streams(manifest, dated[0] if dated else None)
+    columns = {name: _arrivals(messages) for name, messages in sensors.items()}
     first_ns, last_ns = _period(
         manifest,
         [
             # A base station's file may begin and end long before and after the drive.
             *((s.parts[0].time_ns, s.parts[-1].time_ns) for s in streams if s.stream == "rover"),
-            *((c[0].receive_time_ns, c[-1].receive_time_ns) for c in (moved, suspension, ranging) if c),
+            *((c[0].receive_time_ns, c[-1].receive_time_ns) for c in columns.values() if c),
             *((sweeps[0].time_ns, sweeps[-1].time_ns) for _ in sweeps[:1]),
         ],
     )
-    moved, suspension, ranging = (
-        _within(moved, first_ns, last_ns),
-        _within(suspension, first_ns, last_ns),
-        _within(ranging, first_ns, last_ns),
-    )
-    receiver = [
-        Arrival(message.time_ns, message)
-        for stream in streams
-        for message in stream.messages(first_ns, last_ns)
-    ]
+    columns = {
+        name: tuple(arrival for arrival in column if first_ns <= arrival.receive_time_ns <= last_ns)
+        for name, column in columns.items()
+    }
+    received = [message for stream in streams for message in stream.messages(first_ns, last_ns)]
     swept = tuple(file for file in sweeps if first_ns <= file.time_ns <= last_ns)
-    times = {a.receive_time_ns for column in (receiver, moved, suspension, ranging) for a in column}
-    times |= {file.time_ns for file in swept}
+    times = {arrival.receive_time_ns for column in columns.values() for arrival in column}
+    times |= {message.time_ns for message in received} | {file.time_ns for file in swept}
     if not times:
         raise ManifestError(
             f"{manifest.name}: nothing lies between start_s and end_s, expected a part of the drive"
         )
     tick_times_ns = tuple(sorted(times))
-    whole = whole_files(manifest, tick_times_ns[0])
-    receiver = [Arrival(message.time_ns, message) for message in whole] + receiver
-    receiver.sort(key=lambda arrival: arrival.receive_time_ns)
+    start_ns = tick_times_ns[0]
+    whole = whole_files(manifest, start_ns)
+    receiver = [Arrival(message.time_ns, message) for message in (*whole, *received)]
     return DriveInputs(
-        manifest,
-        tick_times_ns,
-        tuple(receiver),
-        (*whole, *(said for stream in streams for said in stream.greeting(tick_times_ns[0]))),
-        moved,
-        suspension,
-        ranging,
-        swept,
-        _map_release(manifest, truth, work_folder),
-        truth,
-        _initial_pose(manifest, truth, tick_times_ns[0]),
-        tuple(notes),
+        manifest=manifest,
+        tick_times_ns=tick_times_ns,
+        receiver=tuple(sorted(receiver, key=lambda arrival: arrival.receive_time_ns)),
+        greeting=(*whole, *(header for stream in streams for header in stream.greeting(start_ns))),
+        **columns,
+        sweeps=swept,
+        map_release=_map_release(manifest, truth, work_folder),
+        truth=truth,
+        initial_pose=_initial_pose(manifest, truth, start_ns),
+        notes=tuple(notes),
     )
 
 
@@ -202,14 +193,10 @@ def _arrivals(messages: Sequence[M]) -> tuple[Arrival[M], ...]:
     return tuple(Arrival(t, message) for t, message in zip(at_ns, messages, strict=True))
 
 
-def _within(arrivals: tuple[Arrival[M], ...], first_ns: int, last_ns: int) -> tuple[Arrival[M], ...]:
-    return tuple(arrival for arrival in arrivals if first_ns <= arrival.receive_time_ns <= last_ns)
-
-
-def _by_time(arrivals: Sequence[Arrival[M]]) -> dict[int, list[M]]:
-    column: dict[int, list[M]] = {}
-    for arrival in arrivals:
-        column.setdefault(arrival.receive_time_ns, []).append(arrival.message)
+def _by_time(items: Iterable[tuple[int, Any]]) -> dict[int, list[Any]]:
+    column: dict[int, list[Any]] = {}
+    for time_ns, item in items:
+        column.setdefault(time_ns, []).append(item)
     return column
 
 
@@ -234,18 +221,10 @@ def _map_release(manifest: DriveManifest, truth: TruthTable | None, work_folder:
     height_m = manifest.surrogates.antenna_height_m
     height_m = manifest.antenna_height.height_m if height_m is None else height_m
     assert height_m is not None  # the manifest was checked for it
-    folder = work_folder / "map"
     how = _how_made(manifest.surrogates)
-    write_map(
-        folder,
-        truth,
-        manifest.surrogates,
-        height_m,
-        region=manifest.name,
-        datum=manifest.datum,
-        surrogate=how,
-    )
-    return folder
+    names = {"region": manifest.name, "datum": manifest.datum, "surrogate": how}
+    write_map(work_folder / "map", truth, manifest.surrogates, height_m, **names)
+    return work_folder / "map"
 
 
 def write_map(

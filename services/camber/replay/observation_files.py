@@ -42,7 +42,7 @@ _TIME_OF_WEEK_AT = {
 }
 _SAME_EPOCH_NS = 20_000_000
 """A receiver's clock is a few ms off the time of week that it rounds; epochs are 40 ms apart at least."""
-_MS_PER_WEEK = 604_800_000
+_MS_PER_WEEK = NS_PER_WEEK // 1_000_000
 _GLONASS, _BEIDOU = 108, 112  # an MSM's number without its last digit
 
 _EXPECTED_EPOCHS = {
@@ -67,7 +67,7 @@ def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol,
         epochs = _cut(data, len(header), _before_next(data, _rinex_begins(path.name, data, header)))
     else:
         if protocol == "rtcm" and near_ns is None:
-            expected = "another file of the drive that tells the date: RTCM 3 does not"
+            expected = "another file of the drive that gives the date: RTCM 3 does not"
             raise FormatError(path.name, "week", expected)
         frames = _frames(data)
         marks = _ubx_marks(data, frames) if protocol == "ubx" else _rtcm_marks(data, frames, near_ns or 0)
@@ -101,13 +101,13 @@ def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
 
 
 def _rinex_header(name: str, data: bytes) -> bytes:
-    found = _END_OF_HEADER.search(data)
+    end = _END_OF_HEADER.search(data)
     version = data[:9].strip()
     if not version.startswith((b"3", b"4")) or data[20:21] != b"O":
         raise FormatError(name, "version", "observations in RINEX 3 or 4", actual=data[:21])
-    if found is None:
+    if end is None:
         raise FormatError(name, "header", "a line END OF HEADER")
-    return data[: found.end()]
+    return data[: end.end()]
 
 
 def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, int]]:
@@ -140,8 +140,8 @@ def _before_next(data: bytes, begins: Iterator[tuple[int, int]]) -> Iterator[tup
 def _frames(data: bytes) -> Iterator[tuple[int, int]]:
     """Begin and end of all UBX and RTCM 3 frames whose checksums are right."""
     place = 0
-    while (found := _SYNC.search(data, place)) is not None:
-        start = found.start()
+    while (sync := _SYNC.search(data, place)) is not None:
+        start = sync.start()
         place = start + 1
         if data[start] == 0xB5:
             end = start + 8 + int.from_bytes(data[start + 4 : start + 6], "little")

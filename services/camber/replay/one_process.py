@@ -23,7 +23,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from camber.formats.drive.recording import Recorded
-from camber.replay.drive_inputs import DriveInputs, Tick
+from camber.replay.drive_inputs import DriveInputs, DriveTick
 from camber.replay.run_recorder import RunRecorder
 from camber.replay.service_settings import service_settings
 from camber.replay.sweep_files import SweepReader
@@ -130,7 +130,7 @@ class _Vehicle:
         for name in VEHICLE_SERVICES:
             self._start(name)
 
-    def work_on(self, tick: Tick) -> None:
+    def work_on(self, tick: DriveTick) -> None:
         """Restart and kill services, publish what arrives at the tick, let the services work."""
         time_ns = tick.time_ns
         self._restart(time_ns)

@@ -78,8 +78,8 @@ def _pos_times(source_name: str, lines: Sequence[bytes]) -> list[int | None]:
     decoder = PosDecoder(source_name)
     times: list[int | None] = []
     for line in lines:
-        found = [r.time_ns for r in decoder.feed(line) if isinstance(r, ReceiverSolution)]
-        times.append(found[-1] if found else None)
+        solved_ns = [r.time_ns for r in decoder.feed(line) if isinstance(r, ReceiverSolution)]
+        times.append(solved_ns[-1] if solved_ns else None)
     return times
 
 

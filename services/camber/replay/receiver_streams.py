@@ -1,4 +1,4 @@
-"""What a drive's receiver, its base station and its files of ephemerides say, as messages by time of arrival."""
+"""The streams of a drive's receiver and base station and its files of ephemerides, as messages by time of arrival."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST_PIECE_BYTES = 64_000
 """Of a file that comes as a whole; larger messages delay others on a slow bus."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverStream:
     """One stream in the order of arrival. `header` is what stands before the first epoch of a file."""
 
@@ -39,7 +39,7 @@ class ReceiverStream:
             header = b""
 
     def greeting(self, time_ns: int) -> Iterator[ReceiverBytes]:
-        """What who connects later must be told before the next epoch: the header, without damaged lines in it."""
+        """Yield what a client that connects later needs before the next epoch: the header, without damaged lines."""
         header = self.header
         if self.protocol == "pos":
             header = b"".join(line for line in header.splitlines(keepends=True) if line.startswith(b"%"))
@@ -48,22 +48,23 @@ class ReceiverStream:
 
 
 def read_streams(manifest: DriveManifest, dated_ns: int | None) -> list[ReceiverStream]:
-    """The base before the rover, so that of two epochs of one time the base's comes first; then the own solutions.
+    """The base before the rover, so that of two epochs of one time the base's comes first; then the solutions.
 
-    `dated_ns` is a time of the drive, within half a week, for files that do not say their week. Raises FormatError,
+    `dated_ns` is a time of the drive, within half a week, for files without their week. Raises FormatError,
     OSError.
     """
-    own: list[ReceiverStream] = []
+    solutions: list[ReceiverStream] = []
     if manifest.receiver is not None:
         file, noted = manifest.receiver, manifest.receiver.arrivals
         header, epochs = read_receiver_file(file)
-        own = [ReceiverStream("rover", file.format, header, _arrived(header, epochs, noted))]
-        dated_ns = own[0].parts[0].time_ns
+        parts = _arrived(header, epochs, noted)
+        solutions = [ReceiverStream(stream="rover", protocol=file.format, header=header, parts=parts)]
+        dated_ns = solutions[0].parts[0].time_ns
     if manifest.observations is None:
-        return own
+        return solutions
     raw = manifest.observations
     rover = _observed("rover", raw.rover_obs, raw.rover_arrivals, dated_ns)
-    return [_observed("base", raw.base_obs, raw.base_arrivals, rover.parts[0].time_ns), rover, *own]
+    return [_observed("base", raw.base_obs, raw.base_arrivals, rover.parts[0].time_ns), rover, *solutions]
 
 
 def whole_files(manifest: DriveManifest, time_ns: int) -> list[ReceiverBytes]:
@@ -81,7 +82,8 @@ def whole_files(manifest: DriveManifest, time_ns: int) -> list[ReceiverBytes]:
 
 def _observed(stream: Stream, path: Path, noted: Path | None, near_ns: int | None) -> ReceiverStream:
     protocol, header, epochs = read_observation_file(path, near_ns)
-    return ReceiverStream(stream, protocol, header, _arrived(header, epochs, noted))
+    parts = _arrived(header, epochs, noted)
+    return ReceiverStream(stream=stream, protocol=protocol, header=header, parts=parts)
 
 
 def _arrived(header: bytes, epochs: list[TimedBytes], noted: Path | None) -> tuple[TimedBytes, ...]:

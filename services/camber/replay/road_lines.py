@@ -17,23 +17,25 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 SPACING_M = 2.0
+"""Of samples along the road. Chosen: a road's height is straight over it to some millimetres."""
 WIDTH_M = 8.0
+"""Chosen: a street of two lanes."""
 SAME_PLACE_M = 0.5 * WIDTH_M - 0.5
 """A track this near to an earlier one runs on the same road: within its width, with room for a curve's chord."""
 OTHER_LEVEL_M = 2.0
 """Two tracks at one place whose heights differ by more are on different levels."""
 BEYOND_END_M = 1.5
 """A road reaches this far beyond its last sample; what is further on is new road."""
-_BESIDE_M = WIDTH_M + 1.0
+_NO_OVERLAP_M = WIDTH_M + 1.0
 """Roads whose middles are further apart do not overlap."""
-_STANDSTILL_STEP_M = 0.02
+_STANDSTILL_STEP_M = 0.02  # chosen: the reference's noise (2 cm)
 # A place counts as met again only if the way back to it was a detour: twice as long as straight, and 1 m more. So a
 # bend does not meet itself, while reversing does.
 _DETOUR = 2.0
 _DETOUR_MORE_M = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLines:
     """Samples of a track; a sample is named by its index.
 
@@ -70,7 +72,10 @@ def road_lines(east_north_m: Array, height_m: Array) -> RoadLines:
     joined = tuple(
         (int(same_as[a - 1]) if a > 0 else -1, int(same_as[b]) if b < len(same_as) else -1) for a, b in runs
     )
-    return RoadLines(samples_m, plane, height, same_as, _levels(plane, height, same_as), runs, joined)
+    return RoadLines(
+        distance_m=samples_m, east_north_m=plane, height_m=height, same_as=same_as,
+        level=_levels(plane, height, same_as), runs=runs, joined=joined,
+    )  # fmt: skip
 
 
 def _first_passes(distance_m: Array, plane_m: Array, height_m: Array) -> Indices:
@@ -96,7 +101,7 @@ def _levels(plane_m: Array, height_m: Array, same_as: Indices) -> Indices:
     levels = np.zeros(len(height_m), dtype=np.int64)
     new = same_as == np.arange(len(same_as))
     for k in np.flatnonzero(new).tolist():
-        near = new[:k] & (np.hypot(*(plane_m[:k] - plane_m[k]).T) <= _BESIDE_M)
+        near = new[:k] & (np.hypot(*(plane_m[:k] - plane_m[k]).T) <= _NO_OVERLAP_M)
         below = levels[:k][near & (height_m[:k] < height_m[k] - OTHER_LEVEL_M)]
         above = levels[:k][near & (height_m[:k] > height_m[k] + OTHER_LEVEL_M)]
         if len(below):

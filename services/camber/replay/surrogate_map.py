@@ -171,8 +171,7 @@ class _Ground:
         away2 = np.sum((to_node - share[..., None] * step_m) ** 2, axis=2)
         nearest = np.argmin(away2, axis=1)
         along: Array = share[np.arange(len(nodes_m)), nearest]
-        found: Array = self._height_m[near][nearest] + along * self._climb_m[near][nearest]
-        return found
+        return np.asarray(self._height_m[near][nearest] + along * self._climb_m[near][nearest])
 
 
 def _to_links(links: PlaneLinks, frame: LocalFrame, sigma_m: float) -> RoadLinks:

@@ -11,7 +11,7 @@ from camber.formats.map_exchange.pcd import read_sweep, sweep_time_ns
 from camber.schemas.lidar import Sweep
 
 SENSOR = "lidar"
-_LONGEST_NOTE = 500
+_LONGEST_NOTE = 500  # characters of a note (`RunFacts.notes`)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,5 +61,5 @@ class SweepReader:
         """A line that says how many could not be read and why the first could not; nothing where all could."""
         if not self.lost:
             return ()
-        said = f"{self.lost} sweep{'s' * (self.lost > 1)} could not be read and left out, the first: {self._first}"
-        return (said[:_LONGEST_NOTE],)
+        note = f"{self.lost} sweep{'s' * (self.lost > 1)} could not be read and left out, the first: {self._first}"
+        return (note[:_LONGEST_NOTE],)

@@ -110,7 +110,7 @@ def test_a_part_of_a_drive_begins_with_the_header(drive: Path, tmp_path: Path) -
     assert len(results) == 11
 
 
-def test_late_motion_arrives_late_and_keeps_its_own_time(drive: Path, tmp_path: Path) -> None:
+def test_late_motion_arrives_late_and_keeps_its_time(drive: Path, tmp_path: Path) -> None:
     folder = tmp_path / "d"
     manifest = write_short_drive(folder)
     rows = (folder / "motion.csv").read_bytes().splitlines(keepends=True)
@@ -246,7 +246,9 @@ def raw(folder: Path, *, receiver: bool = True) -> Path:
     return manifest
 
 
-def said(inputs: DriveInputs, stream: str, protocol: str = "rinex") -> list[Arrival[ReceiverBytes]]:
+def stream_arrivals(
+    inputs: DriveInputs, stream: str, protocol: str = "rinex"
+) -> list[Arrival[ReceiverBytes]]:
     return [a for a in inputs.receiver if (a.message.stream, a.message.protocol) == (stream, protocol)]
 
 
@@ -255,33 +257,33 @@ def joined(arrivals: list[Arrival[ReceiverBytes]]) -> bytes:
 
 
 @pytest.mark.parametrize("receiver", [True, False])
-def test_raw_observations_come_epoch_by_epoch_beside_the_receivers_own_solutions(
+def test_raw_observations_come_epoch_by_epoch_with_the_receivers_solutions(
     tmp_path: Path, receiver: bool
 ) -> None:
     inputs = prepare_drive(load_manifest(raw(tmp_path / "d", receiver=receiver)), tmp_path)
-    rover, base = said(inputs, "rover"), said(inputs, "base")
+    rover, base = stream_arrivals(inputs, "rover"), stream_arrivals(inputs, "base")
     assert joined(rover) == gzip.decompress((tmp_path / "d" / "rover.obs.gz").read_bytes())
     assert [a.receive_time_ns for a in rover] == [START_NS + k * STEP_NS for k in range(10)]
-    # What the base said before the drive began is not heard, but for its header.
+    # What the base sent before the drive began is left out, but for its header.
     assert [a.receive_time_ns for a in base] == [a.receive_time_ns for a in rover]
     assert joined(base).startswith(b"     3.04           OBSERVATION DATA")
-    assert bool(said(inputs, "rover", "pos")) == receiver
+    assert bool(stream_arrivals(inputs, "rover", "pos")) == receiver
     first = next(inputs.ticks())
     order = [(m.stream, m.protocol) for m in first.receiver]
     whole = [("ephemerides", "rinex")] * 2
     assert order == [*whole, ("base", "rinex"), ("rover", "rinex"), *([("rover", "pos")] if receiver else [])]
     assert all(len(m.payload) <= 64_000 for m in first.receiver[:2])
-    assert joined(said(inputs, "ephemerides")) == (tmp_path / "d" / "brdc.nav").read_bytes()
+    assert joined(stream_arrivals(inputs, "ephemerides")) == (tmp_path / "d" / "brdc.nav").read_bytes()
 
 
-def test_who_connects_later_is_told_headers_and_ephemerides(tmp_path: Path) -> None:
+def test_a_client_that_connects_later_gets_headers_and_ephemerides(tmp_path: Path) -> None:
     inputs = prepare_drive(load_manifest(raw(tmp_path / "d")), tmp_path)
-    told = {(m.stream, m.protocol): m.payload.tobytes() for m in inputs.greeting}
-    assert set(told) == {
+    parts = {(m.stream, m.protocol): m.payload.tobytes() for m in inputs.greeting}
+    assert set(parts) == {
         ("ephemerides", "rinex"), ("base", "rinex"), ("rover", "rinex"), ("rover", "pos")
     }  # fmt: skip
-    assert told["rover", "rinex"].splitlines()[-1].rstrip().endswith(b"END OF HEADER")
-    assert told["rover", "pos"].startswith(b"%")
+    assert parts["rover", "rinex"].splitlines()[-1].rstrip().endswith(b"END OF HEADER")
+    assert parts["rover", "pos"].startswith(b"%")
     greeting = ReceiverGreeting(inputs)
     everybody, nobody = frozenset({"gnss"}), frozenset[str]()
     assert list(greeting.messages(START_NS, everybody)) == []

@@ -58,9 +58,9 @@ def itow(time_ns: int) -> bytes:
 
 def ubx_epoch(epoch, *, place: bool) -> list[bytes]:  # type: ignore[no-untyped-def]
     subframe = ubx_frame(0x02, 0x13, bytes(8))
-    own = ubx_frame(0x01, 0x07, itow(epoch.time_ns) + bytes(88))
+    solution = ubx_frame(0x01, 0x07, itow(epoch.time_ns) + bytes(88))
     precise = ubx_frame(0x01, 0x14, bytes(4) + itow(epoch.time_ns) + bytes(28))
-    return [subframe, format_raw_measurements(epoch), *([own, precise] if place else [])]
+    return [subframe, format_raw_measurements(epoch), *([solution, precise] if place else [])]
 
 
 def test_rinex_has_a_header_and_a_block_an_epoch(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_a_packed_file_is_cut_as_it_is_unpacked(tmp_path: Path) -> None:
     check_cut(written(tmp_path, gzip.compress(data)), data, TIMES_NS)
 
 
-def test_rinex_in_the_time_of_beidou_is_14_s_behind(tmp_path: Path) -> None:
+def test_rinex_in_the_time_of_beidou_is_14_s_late(tmp_path: Path) -> None:
     data = rinex()
     assert data.count(b"     GPS         TIME OF FIRST OBS") == 1
     data = data.replace(b"     GPS         TIME OF FIRST OBS", b"     BDT         TIME OF FIRST OBS")
@@ -95,7 +95,7 @@ def test_events_and_damaged_lines_of_rinex_go_with_the_epoch_before_them(tmp_pat
     assert b"> 20x6" in parts[2]
 
 
-def test_ubx_is_cut_behind_the_last_frame_of_an_epoch(tmp_path: Path) -> None:
+def test_ubx_is_cut_after_the_last_frame_of_an_epoch(tmp_path: Path) -> None:
     groups = [ubx_epoch(epoch, place=k != 2) for k, epoch in enumerate(epochs())]
     data = b"".join(frame for group in groups for frame in group)
     path = written(tmp_path, data)
@@ -114,7 +114,7 @@ def test_ubx_between_sentences_and_with_a_broken_frame_loses_no_byte(tmp_path: P
 
 
 @pytest.mark.parametrize("weeks", [-0.49, 0.0, 0.49])
-def test_rtcm_is_cut_behind_the_last_msm_of_an_epoch(tmp_path: Path, weeks: float) -> None:
+def test_rtcm_is_cut_after_the_last_msm_of_an_epoch(tmp_path: Path, weeks: float) -> None:
     station = format_reference_station(ECEF_M, station_id=1)
     groups = [[station, *format_observations(epoch, station_id=1)] for epoch in epochs()]
     data = b"".join(frame for group in groups for frame in group)
@@ -139,7 +139,7 @@ def test_messages_of_glonass_are_of_the_epoch_that_they_stand_in(tmp_path: Path)
 
 def test_rtcm_without_a_date_is_one_line(tmp_path: Path) -> None:
     path = written(tmp_path, b"".join(format_observations(epochs()[0], station_id=1)))
-    with pytest.raises(FormatError, match=r"rover\.raw: week, expected another file of the drive that tells"):
+    with pytest.raises(FormatError, match=r"rover\.raw: week, expected another file of the drive that gives"):
         read_observation_file(path, None)
 
 

@@ -39,8 +39,8 @@ def test_settings_of_a_service_are_added_to_those_of_the_drive(drive: Path) -> N
     fixed = replay_in_one_process(
         inputs_of(drive), drive.parent, settings={"antenna_height": {"fixed_height_m": 9.0}}
     )
-    words = {item.message.verdict for item in fixed.recorded["verdict"]}
-    assert not words & {"confirmed", "confirmed_after_verification"}
+    verdicts = {item.message.verdict for item in fixed.recorded["verdict"]}
+    assert not verdicts & {"confirmed", "confirmed_after_verification"}
 
 
 def test_only_the_channels_asked_for_are_kept(drive: Path) -> None:

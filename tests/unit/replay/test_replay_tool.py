@@ -16,7 +16,7 @@ import pytest
 
 from camber.antenna_height.settings import AntennaHeightSettings, BodyPoint
 from camber.replay import command as replay
-from camber.replay.drive_inputs import DriveInputs, Tick, prepare_drive
+from camber.replay.drive_inputs import DriveInputs, DriveTick, prepare_drive
 from camber.replay.lock_step.drive import process_settings
 from camber.replay.lock_step.processes import Processes
 from camber.replay.service_settings import antenna_height_settings, service_settings
@@ -47,7 +47,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[DriveManifest, Driv
     return manifest, prepare_drive(manifest, folder / "work")
 
 
-# What the services are told
+# Settings of the services
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -80,7 +80,7 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
 
 
 @pytest.mark.parametrize("way", get_args(AntennaHeightMethod.model_fields["way"].annotation))
-def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
+def test_every_source_of_the_antenna_height_is_in_the_settings(
     way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
     manifest, _ = drive
@@ -105,8 +105,8 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
         "sweeps": Sweeps.model_construct(folder=tmp_path),
         "lever_arms": arms,
     }
-    told = antenna_height_settings(manifest.model_copy(update={"antenna_height": height, **there}))
-    settings = AntennaHeightSettings(**told)
+    settings_table = antenna_height_settings(manifest.model_copy(update={"antenna_height": height, **there}))
+    settings = AntennaHeightSettings(**settings_table)
     assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (way, 1.58, 0.02)
     assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
     assert settings.beam_azimuth_deg == 180.0
@@ -117,18 +117,18 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
 def test_a_sensor_that_a_drive_has_not_got_is_not_waited_for(
     drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
-    told = antenna_height_settings(drive[0])
-    assert told.keys() & {"antenna", "lidar", "ranging", "suspension"} == {"antenna"}
+    settings_table = antenna_height_settings(drive[0])
+    assert settings_table.keys() & {"antenna", "lidar", "ranging", "suspension"} == {"antenna"}
 
 
 def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
     payload = np.zeros(0, np.uint8)
-    tick = Tick(
-        NS,
-        (ReceiverBytes(time_ns=NS, protocol="pos", payload=payload),),
-        (Motion(time_ns=NS - 1), Motion(time_ns=NS)),
-        (Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
-        (Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
+    tick = DriveTick(
+        time_ns=NS,
+        receiver=(ReceiverBytes(time_ns=NS, protocol="pos", payload=payload),),
+        motion=(Motion(time_ns=NS - 1), Motion(time_ns=NS)),
+        suspension=(Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
+        ranging=(Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
     )
     names = [name for name, _ in tick.messages(SweepReader())]
     assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
@@ -189,7 +189,7 @@ class Ended:
 
 
 def sleeper(*, deaf: bool = False) -> subprocess.Popen[bytes]:
-    """A process that sleeps; a deaf one does not hear SIGTERM. It says when it is ready."""
+    """A process that sleeps; a deaf one ignores SIGTERM. It prints when it is ready."""
     code = "import signal, time; "
     code += (
         "signal.signal(signal.SIGTERM, signal.SIG_IGN); " * deaf
@@ -239,7 +239,7 @@ def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     assert processes.notes == ["gnss ended (exit code 3) and was started again"] * 20
 
 
-def test_a_process_that_does_not_hear_is_killed_and_noted(
+def test_a_process_that_ignores_sigterm_is_killed_and_noted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spawned: list[subprocess.Popen[bytes]] = []

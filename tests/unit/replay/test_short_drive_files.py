@@ -84,7 +84,7 @@ def test_the_schedule_is_in_order_and_does_not_overlap() -> None:
     assert ends == sorted(ends)
 
 
-def test_the_vehicle_stops_on_the_way_climbs_and_comes_back_to_the_ground() -> None:
+def test_the_vehicle_stops_climbs_and_comes_back_to_the_ground() -> None:
     truth = short_drive_truth()
     speed = np.hypot(truth.velocity_enu_m_s[:, 0], truth.velocity_enu_m_s[:, 1])
     assert (speed[5 * 48 : 5 * 55] == 0.0).all()

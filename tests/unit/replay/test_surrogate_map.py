@@ -59,7 +59,7 @@ def heights_at(surfaces: RoadSurfaces, point_m: Array) -> list[tuple[int, float]
     centre = FRAME.east_north_from_geodetic_array(
         surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
     )
-    found = []
+    heights_m = []
     away = point_m - centre
     cos, sin = np.cos(surfaces.yaw_rad), np.sin(surfaces.yaw_rad)
     along = (away[:, 0] * cos + away[:, 1] * sin) / surfaces.half_length_m
@@ -70,8 +70,8 @@ def heights_at(surfaces: RoadSurfaces, point_m: Array) -> list[tuple[int, float]
         r, c = min(int(u), grid.shape[0] - 2), min(int(v), grid.shape[1] - 2)
         cell = grid[r : r + 2, c : c + 2]
         height = np.array([1 - (u - r), u - r]) @ cell @ np.array([1 - (v - c), v - c])
-        found.append((int(surfaces.level[i]), float(height)))
-    return found
+        heights_m.append((int(surfaces.level[i]), float(height)))
+    return heights_m
 
 
 def link_lines(links: RoadLinks) -> list[Array]:
@@ -118,8 +118,8 @@ def test_height_errors_over_seeds_have_the_stated_sigma_and_correlation() -> Non
     drawn = []
     for seed in range(60):
         surfaces, _ = make_map(truth, errors(seed), ANTENNA_M)
-        found = [heights_at(surfaces, np.array([x, 0.0]))[0][1] for x in at_m]
-        drawn.append(np.array(found) - (10.0 + 0.03 * at_m))
+        heights_m = [heights_at(surfaces, np.array([x, 0.0]))[0][1] for x in at_m]
+        drawn.append(np.array(heights_m) - (10.0 + 0.03 * at_m))
     z = np.array(drawn)
     assert np.std(z) == pytest.approx(0.05, rel=0.12)
     for lag in (1, 2, 4):
@@ -133,16 +133,16 @@ def test_the_road_has_no_crossfall() -> None:
     assert max(float(np.ptp(grid, axis=1).max()) for grid in surfaces.heights_m) < 1e-9
 
 
-@pytest.mark.parametrize("beside_m", [0.0, 2.0, 3.4])
-def test_a_second_pass_gets_the_surface_of_the_first(beside_m: float) -> None:
+@pytest.mark.parametrize("away_m", [0.0, 2.0, 3.4])
+def test_a_second_pass_gets_the_surface_of_the_first(away_m: float) -> None:
     # There, round a block, and along the same street again; its heights say 5 cm more the second time.
-    block = [(100.0, 0.0, 10.0), (100.0, 60.0, 10.0), (0.0, 60.0, 10.0), (0.0, beside_m, 10.05)]
+    block = [(100.0, 0.0, 10.0), (100.0, 60.0, 10.0), (0.0, 60.0, 10.0), (0.0, away_m, 10.05)]
     once = drive_along([(0.0, 0.0, 10.0), *block[:-1]])
-    twice = drive_along([(0.0, 0.0, 10.0), *block, (100.0, beside_m, 10.05)])
+    twice = drive_along([(0.0, 0.0, 10.0), *block, (100.0, away_m, 10.05)])
     first, _ = make_map(once, errors(), ANTENNA_M)
     both, links = make_map(twice, errors(), ANTENNA_M)
     for x in np.arange(20.0, 90.0, 5.0):
-        place = np.array([x, beside_m])
+        place = np.array([x, away_m])
         before, after = heights_at(first, place), heights_at(both, place)
         assert np.ptp([height for _, height in after]) < 0.01
         assert after[0][1] == pytest.approx(before[0][1], abs=0.01)
@@ -165,7 +165,7 @@ def test_a_street_that_crosses_at_grade_has_one_height_and_one_node_there() -> N
     assert sorted(nodes.count(node) for node in set(nodes))[-1] == 4
 
 
-def test_a_bridge_over_the_own_street_is_another_level() -> None:
+def test_a_bridge_over_the_same_street_is_another_level() -> None:
     truth = short_drive_truth()
     surfaces, links = make_map(truth, errors(), ANTENNA_M)
     there = sorted(heights_at(surfaces, np.array([100.0, 0.0])))

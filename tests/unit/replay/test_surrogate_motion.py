@@ -120,7 +120,7 @@ def test_a_given_pose_is_off_by_what_it_says() -> None:
     assert np.std([p.yaw_deg for p in poses]) == pytest.approx(poses[0].yaw_sigma_deg, rel=0.12)
 
 
-def test_truth_between_epochs_is_on_the_way_and_unknown_in_gaps_and_outside() -> None:
+def test_truth_between_epochs_is_interpolated_and_unknown_in_gaps_and_outside() -> None:
     truth = circle(n=50)
     gappy = truth.rows(np.r_[0:20, 30:50])
     asked = START_NS + np.array(
@@ -133,7 +133,7 @@ def test_truth_between_epochs_is_on_the_way_and_unknown_in_gaps_and_outside() ->
     assert table.yaw_rad[1] == pytest.approx(6.0 / 30.0 * 0.1)
 
 
-def test_truth_turns_the_short_way_between_epochs() -> None:
+def test_truth_turns_through_the_smaller_angle_between_epochs() -> None:
     truth = circle(n=100)
     halves, _ = interpolate_truth(truth, truth.time_ns[:-1] + 100_000_000)
     expected = 6.0 / 30.0 * (0.2 * np.arange(99) + 0.1)

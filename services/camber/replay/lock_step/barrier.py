@@ -5,7 +5,7 @@ that the feeder and the services before it have published for it up to i (for lo
 before i); then it says *done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any
 speed. A service works only on the ticks that bring it something (the feeder says which), or on which a second has
 passed. One that has died leaves the tick's list of participants and nobody waits for it; one that returns listens
-until it has heard every participant before it and every participant behind it has heard it, and only then is put on
+until it has seen every participant before it and every participant after it has seen it, and only then is put on
 the list. A tick that was lost is seen from the next one, which says when this service worked last.
 
 Pure: messages go in, decisions come out.
@@ -26,7 +26,7 @@ _KEEP = 64  # ticks of which the counts are kept; far more than any feeder runs 
 
 
 def producers_for(service: str) -> tuple[str, ...]:
-    """The services whose *done* this one needs to hear, by the table."""
+    """The services whose *done* this one waits for, by the table."""
     return tuple(sorted({channel.producers[0] for channel in inputs_of(service)} - {"vehicle", service}))
 
 
@@ -43,7 +43,7 @@ class Barrier:
     inputs: tuple[Channel, ...]
     ticks: deque[Tick] = field(default_factory=deque)
     index: int = -1
-    heard: set[str] = field(default_factory=set)
+    producers_seen: set[str] = field(default_factory=set)
     _waiting: dict[str, deque[Received[Any]]] = field(default_factory=dict)
     _next: dict[str, int] = field(default_factory=dict)
     _done: dict[str, dict[int, dict[str, int]]] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Barrier:
 
     @property
     def producers(self) -> tuple[str, ...]:
-        """The services whose *done* this one needs to hear."""
+        """The services whose *done* this one waits for."""
         return producers_for(self.service)
 
     def add_message(self, name: str, received: Received[Any]) -> None:
@@ -67,7 +67,7 @@ class Barrier:
         """The feeder has published a tick, or again: one has died, or it is not done and something may be lost.
 
         Returns whether it brings this service, which takes part, nothing new: then somebody may be waiting for what
-        this service has said before.
+        a done of this service.
         """
         there = self.service in tick.participants
         if tick.index <= self.index or (there and self.service not in tick.working):
@@ -84,7 +84,7 @@ class Barrier:
 
     def add_done(self, done: Done) -> None:
         """Another service has finished a tick, or (index −1) has joined and begins to count at zero."""
-        self.heard.add(done.service)
+        self.producers_seen.add(done.service)
         counts = self._done.setdefault(done.service, {})
         if done.index < 0:
             if counts.keys() != {-1}:
@@ -135,9 +135,9 @@ class Barrier:
         return waits
 
     def waiting_for_done(self, tick: Tick) -> set[str]:
-        """Who must hear this service's *done* of a tick: the feeder, and who consumes what it publishes.
+        """Who needs this service's *done* of a tick: the feeder, and who consumes what it publishes.
 
-        While somebody is missing on the list, all of them: who comes back must hear everybody first.
+        While somebody is missing on the list, all of them: a service that returns must see everybody first.
         """
         everybody = len(tick.participants) < len(SERVICES)
         consumers = {
@@ -163,11 +163,11 @@ class Barrier:
         return tick, taken
 
     def forget_absent(self, tick: Tick) -> None:
-        """Forget having heard those who are not on the tick's list: they must be heard anew when they return."""
-        self.heard &= set(tick.participants)
+        """Forget the services that are not on the tick's list: they must be seen again when they return."""
+        self.producers_seen &= set(tick.participants)
 
     def _take_base(self, tick: Tick) -> None:
-        """What was published before this service listened will not come: count from what was heard of last."""
+        """What was published before this service listened will not come: count from the last done."""
         for channel in self.inputs:
             counts = self._done.get(channel.producers[0], {})
             base = [

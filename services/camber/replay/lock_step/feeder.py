@@ -140,10 +140,10 @@ class Feeder:
         self._index += 1
         for name in self._bus.flush(tick, self._recipients(tick)):
             self._send(name, tick)
-        self.wait(behind=0 if last else AHEAD)
+        self.wait(pending=0 if last else AHEAD)
 
-    def wait(self, *, behind: int = 0) -> None:
-        """Wait until at most `behind` ticks are not done; drop the services that die meanwhile."""
+    def wait(self, *, pending: int = 0) -> None:
+        """Wait until at most `pending` ticks are not done; drop the services that die meanwhile."""
         timeout_s = self._settings.zenoh.lease_s + _STUCK_S
         deadline, resend_at = time.monotonic() + timeout_s, time.monotonic() + RESEND_S
         while True:
@@ -151,7 +151,7 @@ class Feeder:
             with self._changed:
                 while self._outstanding and not self._late(self._outstanding[0]):
                     self._outstanding.popleft()
-                if len(self._outstanding) <= behind:
+                if len(self._outstanding) <= pending:
                     return
                 late = self._late(self._outstanding[0])
                 if not self._died:

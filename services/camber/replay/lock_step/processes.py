@@ -61,11 +61,11 @@ class Processes:
             child.process.kill()
 
     def raise_refused_settings(self) -> None:
-        """Raise ManifestError with the last words of a service that cannot use its settings, if there is one."""
+        """Raise ManifestError with the last log line of a service that cannot use its settings, if there is one."""
         for name, child in self._children.items():
             if child.process.poll() == _REFUSES:
-                words = (self.folder / "logs" / f"{name}.log").read_text("utf-8", "replace").splitlines()
-                raise ManifestError(words[-1] if words else f"{name} refuses its settings")
+                lines = (self.folder / "logs" / f"{name}.log").read_text("utf-8", "replace").splitlines()
+                raise ManifestError(lines[-1] if lines else f"{name} refuses its settings")
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """SIGTERM to all, SIGKILL to who has not ended by then."""

@@ -197,7 +197,7 @@ class LockStepLoop(Loop):
             service=self.service.NAME,
             index=index,
             published={name: n for name, n in self.bus.published.items() if name != "done"},
-            heard=tuple(sorted(self._barrier.heard)),
+            heard=tuple(sorted(self._barrier.producers_seen)),
         )
         if index < 0:
             self._kept_dones.clear()

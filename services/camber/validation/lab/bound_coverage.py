@@ -27,7 +27,7 @@ from camber.validation.lab.error_episodes import Episodes, episodes
 from camber.validation.lab.error_model import HEADLINE, inflated_covariance
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import wrong_fixes
-from camber.validation.lab.work_blocks import Block
+from camber.validation.lab.work_blocks import WorkBlock
 from camber.validation.statistics import clopper_pearson
 
 Floats = NDArray[np.float64]
@@ -72,7 +72,7 @@ class ClaimedBounds:
     level_m: Floats
 
 
-def coverage_block(block: Block, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
+def coverage_block(block: WorkBlock, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     """Counts of each mode."""
     return {mode: _counts(_MODES[mode](block, draws, block.stream(f"levels/{mode}"))) for mode in MODES}
 
@@ -87,7 +87,7 @@ def coverage_figures(blocks: list[dict[str, dict[str, Any]]]) -> dict[str, Any]:
     }
 
 
-def _rtk(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _rtk(block: WorkBlock, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """Right and wrong fixes in the proportion of the prior of their satellites, those that the judge confirms."""
     right = right_fixes(block, "levels")
     wrong = wrong_fixes(replace(block, number=block.number + 1_000_000), "search")
@@ -141,7 +141,7 @@ def confirmed_claims(
     )
 
 
-def _doppler(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _doppler(block: WorkBlock, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """A confirmed position, and on it the sum by trapezoids of velocities with Gauss-Markov errors."""
     base = _rtk(block, draws, rng)
     base = base.chosen(rng.integers(len(base.lost), size=draws))
@@ -194,7 +194,7 @@ def _gaussian(covariance_m2: Floats, rng: np.random.Generator) -> ClaimedPositio
     )
 
 
-def _sensors(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _sensors(block: WorkBlock, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     """After up to 30 s of 2 to 15 m/s: 0.5 % of the way along and 1 % across, from a position of 0.05 m."""
     path = rng.uniform(0.1, 30.0, draws) * rng.uniform(2.0, 15.0, draws)
     turn = rng.uniform(0.0, 2.0 * math.pi, draws)
@@ -205,12 +205,12 @@ def _sensors(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPosit
     return _gaussian(covariance + across[:, None, None] * other[:, :, None] * other[:, None, :], rng)
 
 
-def _scan_match(block: Block, draws: int, rng: np.random.Generator) -> ClaimedPositions:
+def _scan_match(block: WorkBlock, draws: int, rng: np.random.Generator) -> ClaimedPositions:
     sigma = rng.uniform(0.05, 0.10, draws)
     return _gaussian(sigma[:, None, None] ** 2 * np.eye(2), rng)
 
 
-_MODES: dict[str, Callable[[Block, int, np.random.Generator], ClaimedPositions]] = dict(
+_MODES: dict[str, Callable[[WorkBlock, int, np.random.Generator], ClaimedPositions]] = dict(
     zip(MODES, (_rtk, _doppler, _sensors, _scan_match), strict=True)
 )
 

@@ -19,7 +19,7 @@ from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, fix_shapes
 from camber.validation.lab.baselines import BaselineDecisions
 from camber.validation.lab.error_model import ASSUMPTIONS, Scene
-from camber.validation.lab.work_blocks import AddingUp, Block
+from camber.validation.lab.work_blocks import AddingUp, WorkBlock
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def sum_of(rates: Iterable[WeightedRate]) -> WeightedRate:
     return total
 
 
-def right_fixes(block: Block, name: str) -> FixShapes:
+def right_fixes(block: WorkBlock, name: str) -> FixShapes:
     """One of each of a block's skies, where it is a fix at all."""
     rng = block.stream(f"right/{name}")
     return fix_shapes(random_skies(block.skies, rng), "right", 1, rng)
@@ -98,7 +98,7 @@ def right_covariance(shapes: FixShapes, slope: Floats, scene: Scene) -> Floats:
     return t
 
 
-def alarms_block(block: Block, scenes: tuple[Scene, ...]) -> list[dict[str, WeightedRate]]:
+def alarms_block(block: WorkBlock, scenes: tuple[Scene, ...]) -> list[dict[str, WeightedRate]]:
     """For each scene the rates `false_alarm`, `held_back` (neither confirmed nor contradictory) and, of all
     draws, `all`, which is 1 but for chance."""
     shapes = right_fixes(block, "alarms")

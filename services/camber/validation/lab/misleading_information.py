@@ -34,7 +34,7 @@ from camber.validation.lab.error_episodes import FaultOffsets, episodes
 from camber.validation.lab.error_model import ASSUMPTIONS, inflated_covariance, largest_variance
 from camber.validation.lab.false_alarms import WeightedRate, right_fixes, sum_of, weighted_rate
 from camber.validation.lab.missed_detection import wrong_fixes
-from camber.validation.lab.work_blocks import Block
+from camber.validation.lab.work_blocks import WorkBlock
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ _NEAR_M = 0.15
 """Chosen: about the acceptance radius of the position check, within which a fault coincides with the fix."""
 
 
-def misleading_block(block: Block) -> dict[str, Any]:
+def misleading_block(block: WorkBlock) -> dict[str, Any]:
     """Sums of one block: tails of right integers, of wrong ones with a right pose, and weighted coincidences."""
     right = right_fixes(block, "hazard")
     wrong = wrong_fixes(replace(block, number=block.number + 2_000_000), "search")

@@ -16,7 +16,7 @@ from camber.simulator.satellites.wrong_fix_shapes import FixShapes, Kind, fix_sh
 from camber.validation.lab.baselines import ALL, BASELINES, BaselineDecisions
 from camber.validation.lab.error_episodes import Episodes, episodes
 from camber.validation.lab.error_model import ASSUMPTIONS, Scene
-from camber.validation.lab.work_blocks import AddingUp, Block
+from camber.validation.lab.work_blocks import AddingUp, WorkBlock
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -51,20 +51,20 @@ class MissedDetections(AddingUp):
         self.epochs = 0
 
 
-def missed_block(block: Block, kind: Kind, scenes: tuple[Scene, ...]) -> list[MissedDetections]:
+def missed_block(block: WorkBlock, kind: Kind, scenes: tuple[Scene, ...]) -> list[MissedDetections]:
     """Counts for each scene of the wrong fixes of one block's skies, so many episodes of each."""
     shapes = wrong_fixes(block, kind)
     return [_counted(shapes, scene, block, block.stream(f"missed/{kind}/{scene.name}")) for scene in scenes]
 
 
-def wrong_fixes(block: Block, kind: Kind) -> FixShapes:
+def wrong_fixes(block: WorkBlock, kind: Kind) -> FixShapes:
     """Of one block's skies, those that are at least as far off as the first bin."""
     rng = block.stream(f"skies/{kind}")
     shapes = fix_shapes(random_skies(block.skies, rng), kind, _TRIES, rng)
     return shapes.chosen(np.hypot(shapes.shift_m[:, 0], shapes.shift_m[:, 1]) >= EDGES_M[0])
 
 
-def _counted(shapes: FixShapes, scene: Scene, block: Block, rng: np.random.Generator) -> MissedDetections:
+def _counted(shapes: FixShapes, scene: Scene, block: WorkBlock, rng: np.random.Generator) -> MissedDetections:
     total, judge = MissedDetections(), BaselineDecisions(block.rules, scene)
     n = len(shapes.sky)
     _, sky = np.unique(shapes.sky, return_inverse=True)

@@ -18,7 +18,7 @@ from camber.validation.lab.error_episodes import NO_FAULT, Episodes, FaultOffset
 from camber.validation.lab.error_model import ASSUMPTIONS, HEADLINE
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import THRESHOLDS_M, wrong_fixes
-from camber.validation.lab.work_blocks import AddingUp, Block
+from camber.validation.lab.work_blocks import AddingUp, WorkBlock
 
 Floats = NDArray[np.float64]
 Generator = np.random.Generator
@@ -99,7 +99,7 @@ class FaultCounts(AddingUp):
     missed: int = 0
 
 
-def faults_block(block: Block) -> dict[str, FaultCounts]:
+def faults_block(block: WorkBlock) -> dict[str, FaultCounts]:
     """Counts for each fault."""
     right, wrong = right_fixes(block, "faults"), wrong_fixes(block, "search")
     judge, by_fault = BaselineDecisions(block.rules, SCENE), {}

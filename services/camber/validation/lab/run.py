@@ -20,7 +20,7 @@ from camber.validation.lab.false_alarms import alarms_block, sum_of
 from camber.validation.lab.misleading_information import misleading_block, misleading_figures
 from camber.validation.lab.missed_detection import EDGES_M, THRESHOLDS_M, MissedDetections, missed_block
 from camber.validation.lab.reference_faults import SCENE, FaultCounts, faults_block
-from camber.validation.lab.work_blocks import Block, Results, workers
+from camber.validation.lab.work_blocks import Results, WorkBlock, workers
 from camber.validation.statistics import clopper_pearson
 
 SENSITIVITY_SCENES = tuple(
@@ -92,7 +92,7 @@ def run(size: RunSize, processes: int, report: Callable[[str], None]) -> dict[st
 def _missed(kind: Kind, size: RunSize, results: Results) -> list[dict[str, Any]]:
     blocks, repeats = size.blocks(kind)
     parts = [
-        (scenes, Block(seed=size.seed, number=number, skies=_SKIES_OF_BLOCK[kind], repeats=count))
+        (scenes, WorkBlock(seed=size.seed, number=number, skies=_SKIES_OF_BLOCK[kind], repeats=count))
         for number in range(blocks)
         for scenes, count in (
             (HEADLINE, repeats),
@@ -169,7 +169,7 @@ def _time_to_alert(stretch: NDArray[np.int64]) -> dict[str, Any]:
 def _alarms(size: RunSize, results: Results) -> list[dict[str, Any]]:
     blocks = max(1, round(size.trials / 50 / _SKIES_OF_ALARMS))
     repeats = max(1, round(_DRAWS_OF_TRIAL * size.trials / (blocks * _SKIES_OF_ALARMS)))
-    first = Block(seed=size.seed, number=0, skies=_SKIES_OF_ALARMS, repeats=repeats)
+    first = WorkBlock(seed=size.seed, number=0, skies=_SKIES_OF_ALARMS, repeats=repeats)
     tasks = [partial(alarms_block, replace(first, number=n), SCENES) for n in range(blocks)]
     by_block = list(results(tasks))
     rows = []
@@ -190,7 +190,9 @@ def _alarms(size: RunSize, results: Results) -> list[dict[str, Any]]:
 def _faults(size: RunSize, results: Results) -> dict[str, Any]:
     blocks = max(1, min(20, size.trials // 10_000))
     repeats = max(1, size.trials // (blocks * 400 * 20))
-    tasks = [partial(faults_block, Block(seed=size.seed, number=n, repeats=repeats)) for n in range(blocks)]
+    tasks = [
+        partial(faults_block, WorkBlock(seed=size.seed, number=n, repeats=repeats)) for n in range(blocks)
+    ]
     totals: dict[str, FaultCounts] = {}
     for of_block in results(tasks):
         for name, counts in of_block.items():
@@ -206,7 +208,7 @@ def _levels(size: RunSize, results: Results) -> tuple[dict[str, Any], dict[str, 
     """Twelve blocks of 10,000 draws of each mode, fewer of a small run."""
     draws = min(max(size.trials, 1_000), DRAWS)
     blocks = [
-        Block(seed=size.seed, number=n, repeats=40) for n in range(max(1, min(12, size.trials // 8_000)))
+        WorkBlock(seed=size.seed, number=n, repeats=40) for n in range(max(1, min(12, size.trials // 8_000)))
     ]
     levels = results([partial(coverage_block, block, draws) for block in blocks])
     hazard = results([partial(misleading_block, block) for block in blocks])

@@ -21,7 +21,7 @@ from camber.simulator.random_streams import stream
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Block:
+class WorkBlock:
     """One block: so many random skies, so many repeats of each, judged by the rules."""
 
     seed: int

@@ -89,7 +89,7 @@ def test_a_tick_waits_for_all_that_the_vehicle_has_published() -> None:
     assert numbers(barrier) == [("motion", 0), ("motion", 1)]
 
 
-def test_a_tick_waits_for_the_word_of_who_works_before_and_for_what_it_has_published() -> None:
+def test_a_tick_waits_for_done_and_messages_of_earlier_services() -> None:
     barrier = barrier_of("localizer")
     barrier.add_tick(tick(0, ALL, EVERYBODY))
     assert barrier.missing() == ["gnss"]
@@ -193,20 +193,20 @@ def test_a_tick_that_is_done_is_not_done_again_when_somebody_has_died() -> None:
     assert not barrier.ticks
 
 
-def test_what_the_dead_has_said_before_is_still_heard() -> None:
+def test_messages_of_a_service_that_died_are_still_taken() -> None:
     barrier = barrier_of("localizer")
     barrier.add_message("fix", message(0))
     barrier.add_tick(tick(0, {"localizer": -1}, ("localizer",)))
     assert numbers(barrier) == [("fix", 0)]
 
 
-def test_a_service_that_is_not_on_the_list_must_be_heard_anew() -> None:
+def test_a_service_that_is_not_on_the_list_must_be_seen_again() -> None:
     barrier = barrier_of("localizer")
     barrier.add_done(done("gnss", -1))
     barrier.add_done(done("integrity", -1))
-    assert barrier.heard == {"gnss", "integrity"}
+    assert barrier.producers_seen == {"gnss", "integrity"}
     barrier.forget_absent(tick(0, {"localizer": -1, "integrity": -1}, ("localizer",)))
-    assert barrier.heard == {"integrity"}
+    assert barrier.producers_seen == {"integrity"}
 
 
 # Return
@@ -382,7 +382,7 @@ def write_script(service: str, random: Random, ticks: int) -> Script:
                 publish(channel, index)
         for producer in sorted(working):
             if not has_sweeps and all(c.made_from for c in channels if c.producers == (producer,)):
-                worked[producer] = index  # nothing to hear of, nothing said
+                worked[producer] = index  # no input, no done
                 continue
             counts = {c.name: published[c.name] for c in channels if c.producers == (producer,)}
             script.streams[producer].append(("done", done(producer, index, **counts)))
@@ -437,20 +437,20 @@ def test_any_interleaving_of_arrivals_hands_out_the_same(service: str, seed: int
 @pytest.mark.parametrize("service", SERVICES)
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), arrival=st.integers(0, 2**32 - 1))
-def test_what_comes_only_when_it_is_said_again_changes_nothing(service: str, seed: int, arrival: int) -> None:
+def test_what_comes_only_when_it_is_sent_again_changes_nothing(service: str, seed: int, arrival: int) -> None:
     script = write_script(service, Random(seed), ticks=30)
     assert play(script, Random(arrival), lost=0.2) == script.expected
 
 
-def test_a_tick_that_brings_nothing_new_asks_for_what_was_said_before() -> None:
+def test_a_tick_that_brings_nothing_new_asks_for_earlier_dones() -> None:
     barrier = barrier_of("antenna_height")
-    own = {"antenna_height": -1, "localizer": -1}
-    first = tick(0, own, ("antenna_height",))
+    participants = {"antenna_height": -1, "localizer": -1}
+    first = tick(0, participants, ("antenna_height",))
     assert not barrier.add_tick(first)
     assert barrier.add_tick(first)
     numbers(barrier)
     assert barrier.add_tick(first)
-    assert barrier.add_tick(tick(1, own | {"antenna_height": 0}, ("localizer",)))
+    assert barrier.add_tick(tick(1, participants | {"antenna_height": 0}, ("localizer",)))
     assert not barrier.add_tick(tick(0, {"localizer": -1}, ("localizer",)))
     assert not barrier.ticks
 

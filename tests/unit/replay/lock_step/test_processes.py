@@ -103,7 +103,7 @@ def test_one_that_does_not_end_when_asked_is_killed(tmp_path, processes):
     assert processes.notes == ["map_update did not end within 0 s and was killed"]
 
 
-def test_the_settings_of_whoever_starts_a_replay_do_not_reach_its_services(tmp_path, processes, monkeypatch):
+def test_the_environment_of_a_replay_does_not_reach_its_services(tmp_path, processes, monkeypatch):
     monkeypatch.setenv("CAMBER_MAP_UPDATE_VEHICLE", "another")
     processes.start()
     environ = Path(f"/proc/{pids(tmp_path)['map_update']}/environ").read_bytes()

@@ -27,9 +27,9 @@ from camber.validation.lab.bound_coverage import (
 from camber.validation.lab.error_episodes import episodes
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.misleading_information import misleading_block, misleading_figures
-from camber.validation.lab.work_blocks import Block
+from camber.validation.lab.work_blocks import WorkBlock
 
-BLOCK = Block(seed=13, number=0, repeats=40)
+BLOCK = WorkBlock(seed=13, number=0, repeats=40)
 
 
 def _claimed(error_m: np.ndarray, covariance_m2: np.ndarray) -> ClaimedPositions:

@@ -8,7 +8,7 @@ import pytest
 from camber.integrity.checks.chi2_test import chi2_limit, distances, upper_triangle
 from camber.validation.lab.error_model import HEADLINE
 from camber.validation.lab.false_alarms import WeightedRate, alarms_block, weighted_draws, weighted_rate
-from camber.validation.lab.work_blocks import Block
+from camber.validation.lab.work_blocks import WorkBlock
 
 SEED = 7
 
@@ -57,7 +57,7 @@ def test_a_rate_of_nothing_is_bounded_by_the_draws() -> None:
 
 
 def test_blocks_of_right_fixes_are_the_same_for_the_same_seed_and_differ_for_another() -> None:
-    blocks = (Block(seed=seed, number=0, skies=20, repeats=3) for seed in (1, 1, 2))
+    blocks = (WorkBlock(seed=seed, number=0, skies=20, repeats=3) for seed in (1, 1, 2))
     one, again, other = (alarms_block(block, HEADLINE[:1])[0] for block in blocks)
     assert one == again
     assert one != other

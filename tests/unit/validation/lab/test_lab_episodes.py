@@ -16,7 +16,7 @@ from camber.validation.lab.error_model import HEADLINE, Assumptions, Scene
 from camber.validation.lab.false_alarms import right_covariance
 from camber.validation.lab.missed_detection import THRESHOLDS_M, longest_confirmed_runs, missed_block
 from camber.validation.lab.reference_faults import FAULTS
-from camber.validation.lab.work_blocks import Block
+from camber.validation.lab.work_blocks import WorkBlock
 
 SEED = 11
 SCENE = Scene(pose_sigma_m=0.08, map_sigma_m=0.06)
@@ -128,7 +128,7 @@ def test_the_longest_stretch_is_of_one_episode_and_an_alert_is_a_harmful_epoch_t
 
 def test_controls_that_ask_for_more_miss_less_and_counts_add_up() -> None:
     scenes = HEADLINE[0], Scene(pose_sigma_m=0.2, map_sigma_m=0.05)
-    counts = missed_block(Block(seed=3, number=0, skies=12), "cycles", scenes)
+    counts = missed_block(WorkBlock(seed=3, number=0, skies=12), "cycles", scenes)
     for m in counts:
         missed = dict(zip(BASELINES, m.missed, strict=True))
         assert (missed["ratio only"] == m.harmful).all()

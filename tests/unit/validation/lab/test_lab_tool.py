@@ -16,7 +16,7 @@ from camber.validation.lab.error_model import HEADLINE
 from camber.validation.lab.false_alarms import alarms_block
 from camber.validation.lab.missed_detection import MissedDetections, missed_block
 from camber.validation.lab.page import page
-from camber.validation.lab.work_blocks import Block, workers
+from camber.validation.lab.work_blocks import WorkBlock, workers
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +39,10 @@ def test_a_run_leaves_figures_tables_and_charts(folder: Path) -> None:
 
 
 def test_how_many_processes_there_are_changes_no_figure() -> None:
-    scenes, blocks = HEADLINE[:1], [Block(seed=3, number=number, skies=4) for number in range(3)]
+    scenes, blocks = HEADLINE[:1], [WorkBlock(seed=3, number=number, skies=4) for number in range(3)]
     tasks = [
         *(partial(missed_block, block, "cycles", scenes) for block in blocks),
-        partial(alarms_block, Block(seed=3, number=0, skies=20, repeats=2), scenes),
+        partial(alarms_block, WorkBlock(seed=3, number=0, skies=20, repeats=2), scenes),
     ]
     with workers(1) as alone, workers(2) as shared:
         one, two = list(alone(tasks)), list(shared(tasks))
