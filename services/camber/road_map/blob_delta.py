@@ -9,7 +9,7 @@ The first byte names the encoding:
 
 The integers of `s` are LEB128 (zigzag where they may be negative), column by column: number of surfaces; increase of
 the tile's time [ns]; greatest common divisor of the ages; then for each surface the step from the row before; what
-changes (bits of `_Change`); height in steps of 0.1 mm, once or per node; σ in steps of 0.1 mm; vehicles; age in
+changes (bits of `_SurfaceChange`); height in steps of 0.1 mm, once or per node; σ in steps of 0.1 mm; vehicles; age in
 divisors.
 
 The receiver verifies the hash of the result and asks for the whole blob if it differs.
@@ -39,7 +39,7 @@ _UNCHANGED_FIELDS = (
 )
 
 
-class _Change(enum.IntFlag):
+class _SurfaceChange(enum.IntFlag):
     SHIFT = 1  # all nodes by the same height
     NODES = 2  # each node by a height of its own
     SIGMA = 4
@@ -147,28 +147,30 @@ def _numbers(new: SurfaceTile, old: SurfaceTile) -> list[int]:
     ends = np.cumsum(new.rows.astype(np.int64) * new.columns)
     steps = [np.unique(part) for part in np.split(height[nodes], ends)[:-1]]
     changed = {
-        _Change.SHIFT: np.array([len(each) == 1 and each[0] != 0 for each in steps], bool),
-        _Change.NODES: np.array([len(each) > 1 for each in steps], bool),
-        _Change.SIGMA: new.sigma_m != old.sigma_m,
-        _Change.VEHICLES: new.vehicles != old.vehicles,
-        _Change.SEEN: new.last_seen_ns != old.last_seen_ns,
+        _SurfaceChange.SHIFT: np.array([len(each) == 1 and each[0] != 0 for each in steps], bool),
+        _SurfaceChange.NODES: np.array([len(each) > 1 for each in steps], bool),
+        _SurfaceChange.SIGMA: new.sigma_m != old.sigma_m,
+        _SurfaceChange.VEHICLES: new.vehicles != old.vehicles,
+        _SurfaceChange.SEEN: new.last_seen_ns != old.last_seen_ns,
     }
     what = np.sum([int(flag) * rows for flag, rows in changed.items()], axis=0)
     rows = np.flatnonzero(what)
     rows_with = {flag: np.flatnonzero(rows) for flag, rows in changed.items()}
-    ages = (new.time_ns - new.last_seen_ns[rows_with[_Change.SEEN]]).tolist()
+    ages = (new.time_ns - new.last_seen_ns[rows_with[_SurfaceChange.SEEN]]).tolist()
     divisor = max(math.gcd(*ages), 1)
-    sigma = np.round(new.sigma_m[rows_with[_Change.SIGMA]].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
+    sigma = np.round(new.sigma_m[rows_with[_SurfaceChange.SIGMA]].astype(np.float64) * _STEPS_PER_M).astype(
+        np.int64
+    )
     return [
         len(rows),
         _zigzag(new.time_ns - old.time_ns),
         divisor,
         *np.diff(rows, prepend=-1).tolist(),
         *what[rows].tolist(),
-        *map(_zigzag, height[new.first_height[rows_with[_Change.SHIFT]]].tolist()),
-        *map(_zigzag, height[grid_nodes(new, rows_with[_Change.NODES])[0]].tolist()),
+        *map(_zigzag, height[new.first_height[rows_with[_SurfaceChange.SHIFT]]].tolist()),
+        *map(_zigzag, height[grid_nodes(new, rows_with[_SurfaceChange.NODES])[0]].tolist()),
         *sigma.tolist(),
-        *new.vehicles[rows_with[_Change.VEHICLES]].tolist(),
+        *new.vehicles[rows_with[_SurfaceChange.VEHICLES]].tolist(),
         *(_zigzag(age // divisor) for age in ages),
     ]
 
@@ -187,24 +189,26 @@ def _with_changes(base: bytes, numbers: _Numbers) -> bytes:
     what = np.array(numbers.take(count), np.int64)
     if count and (rows[0] < 0 or (np.diff(rows) <= 0).any() or rows[-1] >= len(old.rows)):
         raise ValueError("rows beyond the tile")
-    rows_with = {flag: rows[(what & int(flag)) != 0] for flag in _Change}
-    shifted, of_surface = grid_nodes(old, rows_with[_Change.SHIFT])
-    bent, _ = grid_nodes(old, rows_with[_Change.NODES])
-    shifts = np.array([_signed(number) for number in numbers.take(len(rows_with[_Change.SHIFT]))], np.int64)
+    rows_with = {flag: rows[(what & int(flag)) != 0] for flag in _SurfaceChange}
+    shifted, of_surface = grid_nodes(old, rows_with[_SurfaceChange.SHIFT])
+    bent, _ = grid_nodes(old, rows_with[_SurfaceChange.NODES])
+    shifts = np.array(
+        [_signed(number) for number in numbers.take(len(rows_with[_SurfaceChange.SHIFT]))], np.int64
+    )
     steps = np.array([_signed(number) for number in numbers.take(len(bent))], np.int64)
     raised_m = np.concatenate((shifts[of_surface], steps)) / _STEPS_PER_M
-    sigma_m = np.array(numbers.take(len(rows_with[_Change.SIGMA])), np.float64) / _STEPS_PER_M
-    vehicles = np.array(numbers.take(len(rows_with[_Change.VEHICLES])), np.int32)
-    seen_ns = [time_ns - _signed(age) * divisor for age in numbers.take(len(rows_with[_Change.SEEN]))]
+    sigma_m = np.array(numbers.take(len(rows_with[_SurfaceChange.SIGMA])), np.float64) / _STEPS_PER_M
+    vehicles = np.array(numbers.take(len(rows_with[_SurfaceChange.VEHICLES])), np.int32)
+    seen_ns = [time_ns - _signed(age) * divisor for age in numbers.take(len(rows_with[_SurfaceChange.SEEN]))]
     numbers.finish()
     return encode(
         changed_tile(
             old,
             time_ns=time_ns,
             raised=(np.concatenate((shifted, bent)), raised_m),
-            sigma_m=(rows_with[_Change.SIGMA], sigma_m),
-            vehicles=(rows_with[_Change.VEHICLES], vehicles),
-            last_seen_ns=(rows_with[_Change.SEEN], np.array(seen_ns, np.int64)),
+            sigma_m=(rows_with[_SurfaceChange.SIGMA], sigma_m),
+            vehicles=(rows_with[_SurfaceChange.VEHICLES], vehicles),
+            last_seen_ns=(rows_with[_SurfaceChange.SEEN], np.array(seen_ns, np.int64)),
         )
     )
 
