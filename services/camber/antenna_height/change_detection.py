@@ -59,7 +59,7 @@ class Change:
 
 
 @dataclass(slots=True, kw_only=True)
-class _Block:
+class _DrivenBlock:
     start_ns: int = 0
     driven_ns: int = 0
     count: int = 0
@@ -140,8 +140,8 @@ class ChangeDetector:
     earlier_least_m: float = math.inf
     change: Change | None = None
     _last_ns: int = 0
-    _block: _Block = field(default_factory=_Block)
-    _newest: list[_Block] = field(default_factory=list)
+    _block: _DrivenBlock = field(default_factory=_DrivenBlock)
+    _newest: list[_DrivenBlock] = field(default_factory=list)
     _before: Reference = _NO_BLOCKS
     _changed: Reference = _NO_BLOCKS  # what the newest blocks differ from, where something has changed
 
@@ -170,7 +170,7 @@ class ChangeDetector:
         block.count += 1
         block.sum_m += difference_m
         if block.driven_ns >= BLOCK_NS:
-            self._block = _Block()
+            self._block = _DrivenBlock()
             self._newest.append(block)
             self.change = self._detect() if self.change is None else self._remaining(self.change)
 
@@ -204,7 +204,7 @@ class ChangeDetector:
         self._changed = earlier
         return Change(by_m, newest[0].start_ns)
 
-    def _limit_m(self, before: Reference, newest: list[_Block]) -> float:
+    def _limit_m(self, before: Reference, newest: list[_DrivenBlock]) -> float:
         if before.blocks < _BEFORE:
             return math.inf
         return self.rules.sigmas * before.sigma_m(len(newest), self.prior)
@@ -216,10 +216,10 @@ class ChangeDetector:
         return Change(by_m, change.since_ns) if abs(by_m) >= 0.5 * abs(change.by_m) else None
 
 
-def _is_lasting(blocks: list[_Block], before_m: float, by_m: float) -> bool:
+def _is_lasting(blocks: list[_DrivenBlock], before_m: float, by_m: float) -> bool:
     """Whether each of the blocks has the change, not one alone."""
     return all((block.mean_m - before_m) * by_m >= _EACH * by_m**2 for block in blocks)
 
 
-def _mean(blocks: list[_Block]) -> float:
+def _mean(blocks: list[_DrivenBlock]) -> float:
     return math.fsum(block.mean_m for block in blocks) / len(blocks)

@@ -140,34 +140,18 @@ class FakeBus:
         self.counters[name] += n
 
 
-def fix_at(tenth: int, east_m: float, north_m: float = 0.0, **changed: Any) -> Fix:
+def position_at(tenth: int, east_m: float, north_m: float) -> dict[str, Any]:
     latitude, longitude = at(east_m, north_m)
-    values: dict[str, Any] = {
-        "time_ns": START_NS + tenth * NS // 10,
-        "fix_id": tenth,
-        "origin": "receiver",
-        "quality": "fixed",
-        "latitude_rad": latitude,
-        "longitude_rad": longitude,
-        "height_m": 52.0,
-        "covariance_enu_m2": SMALL,
-    }
-    return Fix(**values | changed)
+    position = {"latitude_rad": latitude, "longitude_rad": longitude, "height_m": 52.0}
+    return {"time_ns": START_NS + tenth * NS // 10, "fix_id": tenth, "covariance_enu_m2": SMALL} | position
+
+
+def fix_at(tenth: int, east_m: float, north_m: float = 0.0, **changed: Any) -> Fix:
+    return Fix(**{"origin": "receiver", "quality": "fixed"} | position_at(tenth, east_m, north_m) | changed)
 
 
 def verdict_at(tenth: int, value: Any, east_m: float, north_m: float = 0.0, **changed: Any) -> Verdict:
-    latitude, longitude = at(east_m, north_m)
-    values: dict[str, Any] = {
-        "time_ns": START_NS + tenth * NS // 10,
-        "fix_id": tenth,
-        "verdict": value,
-        "reason": "none",
-        "latitude_rad": latitude,
-        "longitude_rad": longitude,
-        "height_m": 52.0,
-        "covariance_enu_m2": SMALL,
-    }
-    return Verdict(**values | changed)
+    return Verdict(**{"verdict": value, "reason": "none"} | position_at(tenth, east_m, north_m) | changed)
 
 
 class Drive:

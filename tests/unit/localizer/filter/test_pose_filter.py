@@ -46,17 +46,13 @@ class Vehicle:
         steering = math.atan(rate * m.wheelbase_m / speed) if speed > 0.5 else 0.0
         steering += self.steering_bias + n * rng.normal(0, m.steering_noise_rad)
         gyro = rate + self.bias + n * rng.normal(0, m.yaw_rate_noise_rad_s)
-        if m.a_rate_sensor == "steering" and not self.both:
-            sample = MotionSample(
-                time_ns=self.time_ns, speed_m_s=read, yaw_rate_rad_s=None, steering_rad=steering
-            )
-        else:
-            sample = MotionSample(
-                time_ns=self.time_ns,
-                speed_m_s=read,
-                yaw_rate_rad_s=gyro,
-                steering_rad=steering if self.both else None,
-            )
+        by_steering = m.a_rate_sensor == "steering" and not self.both
+        sample = MotionSample(
+            time_ns=self.time_ns,
+            speed_m_s=read,
+            yaw_rate_rad_s=None if by_steering else gyro,
+            steering_rad=steering if by_steering or self.both else None,
+        )
         return self.filter.predict(sample)
 
     def drive(self, seconds, speed, rate=0.0, anchored=False, network=None):
@@ -285,16 +281,9 @@ def test_a_gap_longer_than_can_be_bridged_loses_the_pose():
 def test_samples_from_the_past_change_nothing():
     vehicle = anchored_vehicle()
     before = vehicle.filter.estimate()
-    assert (
-        vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=9.0, yaw_rate_rad_s=1.0))
-        == "repeated"
-    )
-    assert (
-        vehicle.filter.predict(
-            MotionSample(time_ns=vehicle.time_ns - 10**9, speed_m_s=9.0, yaw_rate_rad_s=1.0)
-        )
-        == "backwards"
-    )
+    sample = MotionSample(time_ns=vehicle.time_ns, speed_m_s=9.0, yaw_rate_rad_s=1.0)
+    assert vehicle.filter.predict(sample) == "repeated"
+    assert vehicle.filter.predict(replace(sample, time_ns=vehicle.time_ns - 10**9)) == "backwards"
     np.testing.assert_array_equal(vehicle.filter.estimate().covariance, before.covariance)
 
 

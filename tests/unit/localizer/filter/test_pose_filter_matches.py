@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,16 +247,7 @@ def test_matches_without_a_pose_too_old_repeated_or_ahead_change_nothing():
 
 def test_a_unique_match_determines_an_unknown_heading():
     vehicle = Vehicle()
-    pose = vehicle.given()
-    vehicle.filter.start(
-        StartPose(
-            time_ns=pose.time_ns,
-            east_m=pose.east_m,
-            north_m=pose.north_m,
-            yaw_rad=None,
-            covariance=pose.covariance,
-        )
-    )
+    vehicle.filter.start(replace(vehicle.given(), yaw_rad=None))
     assert vehicle.match(steps_late=0, unique=False).outcome == "outside_gate"
     assert not vehicle.filter.estimate().yaw_known
     assert vehicle.match(steps_late=0).outcome == "accepted"
@@ -286,20 +278,12 @@ def silent(vehicle, seconds, missing):
     vehicle.step(8.0, 0.1)
     predict, stopped_ns = vehicle.filter.predict, vehicle.time_ns
 
-    def with_stopped_clock(sample):
-        if missing == "speed":
-            return predict(
-                MotionSample(time_ns=sample.time_ns, speed_m_s=None, yaw_rate_rad_s=sample.yaw_rate_rad_s)
-            )
-        if missing == "yaw rate":
-            return predict(
-                MotionSample(time_ns=sample.time_ns, speed_m_s=sample.speed_m_s, yaw_rate_rad_s=None)
-            )
-        return predict(
-            MotionSample(time_ns=stopped_ns, speed_m_s=sample.speed_m_s, yaw_rate_rad_s=sample.yaw_rate_rad_s)
-        )
-
-    vehicle.filter.predict = with_stopped_clock
+    changes = {
+        "speed": {"speed_m_s": None},
+        "yaw rate": {"yaw_rate_rad_s": None},
+        "clock": {"time_ns": stopped_ns},
+    }
+    vehicle.filter.predict = lambda sample: predict(replace(sample, **changes[missing]))
     vehicle.drive(seconds, 6.0, 0.1, matches=False)
     vehicle.filter.predict = predict
     vehicle.step(6.0, 0.1)

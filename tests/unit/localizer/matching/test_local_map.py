@@ -1,4 +1,4 @@
-"""The last ten sweeps overlaid: what stands still falls on itself, on grades too."""
+"""The last ten sweeps overlaid: static points coincide, on grades too."""
 
 from __future__ import annotations
 
@@ -32,6 +32,10 @@ def seen_from(
     return seen
 
 
+def largest_gap_m(points_m: NDArray[np.float64], truth_m: NDArray[np.float64]) -> float:
+    return float(np.abs(points_m[:, None] - truth_m[None]).max(axis=2).min(axis=1).max())
+
+
 def arc(k: int, step_m: float = 1.5, turn_rad: float = 0.03) -> TrackPoint:
     yaw, radius = k * turn_rad, step_m / turn_rad
     return TrackPoint(
@@ -39,7 +43,7 @@ def arc(k: int, step_m: float = 1.5, turn_rad: float = 0.03) -> TrackPoint:
     )
 
 
-def test_what_stands_still_falls_on_itself() -> None:
+def test_static_points_coincide() -> None:
     local, points = LocalMap(voxel_m=0.001, reach_m=200.0), world()
     for k in range(10):
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
@@ -47,16 +51,14 @@ def test_what_stands_still_falls_on_itself() -> None:
     assert len(local) == 10
     truth = seen_from(points, arc(9))
     assert len(result.points_m) < 1.5 * len(truth)  # what falls on an edge of a voxel may stand twice
-    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
-    assert nearest.max() < 1e-9
+    assert largest_gap_m(result.points_m, truth) < 1e-9
 
 
 def test_only_the_last_ten_are_kept() -> None:
     local, points = LocalMap(), world()
     for k in range(25):
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
-    result = local.overlay()
-    assert result is not None
+    assert local.overlay().lag.path_m == pytest.approx(4.5 * 1.5)
     assert len(local) == 10
 
 
@@ -87,8 +89,7 @@ def test_on_a_grade_the_path_rises_and_falls(grade_rad: float) -> None:
         )
     result = local.overlay()
     truth = seen_from(points, true, up, pitch=-grade_rad)
-    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
-    assert nearest.max() < 1e-9
+    assert largest_gap_m(result.points_m, truth) < 1e-9
 
 
 def test_a_body_that_rolls_and_pitches_on_level_road_is_turned_back() -> None:
@@ -99,8 +100,7 @@ def test_a_body_that_rolls_and_pitches_on_level_road_is_turned_back() -> None:
         local.add(sweep(seen, k), arc(k), (roll, pitch), road_tilt=(roll, pitch))
     result = local.overlay()
     truth = seen_from(points, arc(9), roll=roll, pitch=pitch)
-    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
-    assert nearest.max() < 1e-9
+    assert largest_gap_m(result.points_m, truth) < 1e-9
 
 
 def test_a_steady_grade_needs_no_attitude() -> None:
@@ -111,8 +111,7 @@ def test_a_steady_grade_needs_no_attitude() -> None:
         seen = seen_from(points, place, along * math.sin(0.1), pitch=-0.1)
         local.add(sweep(seen, k), TrackPoint(east_m=along, north_m=0.0, yaw_rad=0.0, path_m=along))
     result = local.overlay()
-    nearest = np.abs(result.points_m[:, None] - seen[None]).max(axis=2).min(axis=1)
-    assert nearest.max() < 1e-9
+    assert largest_gap_m(result.points_m, seen) < 1e-9
 
 
 def add_two(k: int, second: TrackPoint, attitude: tuple[float, float] | None = None) -> LocalMap:
@@ -140,7 +139,7 @@ def test_after_a_reset_there_is_nothing() -> None:
     assert local.overlay() is None
 
 
-def test_what_is_beyond_reach_is_left_out() -> None:
+def test_points_beyond_the_reach_are_left_out() -> None:
     local = LocalMap(reach_m=20.0)
     local.add(sweep(world(), 0), TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.0, path_m=0.0))
     result = local.overlay()

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camber.localizer.road.road_raster import CELL_M, OUTWARDS_M, RoadHeights
+from camber.localizer.road.road_planes import CELL_M, OUTWARDS_M
+from camber.localizer.road.road_raster import RoadHeights
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]
