@@ -99,9 +99,8 @@ class Witness(threading.Thread):
         verdicts = self.verdict_counts(from_s, until_s)
         trusted = Counter({key: n for key, n in verdicts.items() if key[1] in TRUSTED and key[0] != "right"})
         for position in self.messages(Position, from_s, until_s):
-            label = self.known.label(position)
-            if position.usable and position.source == "rtk" and label != "right":
-                trusted[label, "usable position"] += 1
+            if position.usable and position.source == "rtk" and self.known.label(position) != "right":
+                trusted[self.known.label(position), "usable position"] += 1
         return trusted
 
     def trusted_right(self, verdict: Any) -> bool:

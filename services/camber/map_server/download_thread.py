@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import random
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -43,6 +42,7 @@ class DownloadThread(threading.Thread):
         ask_every_s: float,
         spread_s: float,
         retry_every_s: float,
+        monotonic_s: Callable[[], float],
         wake: Callable[[], None] = lambda: None,
         rng: random.Random | None = None,
     ) -> None:
@@ -52,7 +52,7 @@ class DownloadThread(threading.Thread):
         self._download, self._store = download, download.store
         self._cloud, self._folder = cloud, folder
         self._ask_every_s, self._spread_s, self._retry_every_s = ask_every_s, spread_s, retry_every_s
-        self._wake, self._rng = wake, rng or random.Random()
+        self._monotonic_s, self._wake, self._rng = monotonic_s, wake, rng or random.Random()
         self._problems: queue.SimpleQueue[Problem] = queue.SimpleQueue()
         self._waking = threading.Event()
         self._stopping = self._noticed = self._damaged = self._changed = False
@@ -68,7 +68,7 @@ class DownloadThread(threading.Thread):
         while not self._stopping:
             self._waking.clear()
             try:
-                delay_s = self.step(time.monotonic())
+                delay_s = self.step(self._monotonic_s())
             except Exception as error:  # the thread must survive any error: nothing would restart it
                 self._problems.put(("fetch_failed", f"{type(error).__name__}: {error}"))
                 delay_s = _IDLE_S

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -194,6 +195,7 @@ class MapServerService(Service[MapServerSettings]):
             ask_every_s=settings.ask_every_s,
             spread_s=settings.ask_spread_s,
             retry_every_s=settings.retry_every_s,
+            monotonic_s=time.monotonic,
             wake=bus.wake,
         )
         self._thread.start()

@@ -294,7 +294,12 @@ def test_a_damaged_blob_is_fetched_again(tmp_path: Path, vehicle: Vehicle) -> No
 def thread_of(vehicle: Vehicle, folder: FolderSupplier | None = None) -> DownloadThread:
     intervals = {"ask_every_s": 600.0, "spread_s": 10.0, "retry_every_s": 60.0}
     return DownloadThread(
-        vehicle.download, cloud=vehicle.cloud, folder=folder, rng=random.Random(1), **intervals
+        vehicle.download,
+        cloud=vehicle.cloud,
+        folder=folder,
+        monotonic_s=lambda: 0.0,
+        rng=random.Random(1),
+        **intervals,
     )
 
 
