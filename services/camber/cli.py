@@ -136,12 +136,9 @@ def _dispatch(args: list[str]) -> int:
         missing = (error.name or "camber").partition(".")[0]
         if missing == "camber":
             raise
-        extra = EXTRA_OF.get(missing)
-        source = (
-            f"camber[{extra}]"
-            if extra
-            else "a full installation of Camber, not with a single service's image"
-        )
+        source = "a full installation of Camber, not with a single service's image"
+        if missing in EXTRA_OF:
+            source = f"camber[{EXTRA_OF[missing]}]"
         print(f"camber {name}: {missing} is not installed; it comes with {source}", file=sys.stderr)
         return 2
 
@@ -149,9 +146,8 @@ def _dispatch(args: list[str]) -> int:
 def _help() -> str:
     observations = {f"gnss {name}": command for name, command in GNSS_COMMANDS.items()}
     options = {"gnss --list-ports": LIST_PORTS, "--version": VERSION, "--completion": COMPLETION}
-    return help_text(
-        "camber", {"services": SERVICES, **TOOL_GROUPS, "observations": observations, "options": options}
-    )
+    groups = {"services": SERVICES, **TOOL_GROUPS, "observations": observations, "options": options}
+    return help_text("camber", groups)
 
 
 def _run(command: Command, argv: list[str]) -> int:

@@ -181,7 +181,7 @@ def _named(annotation: Any, metadata: list[Any]) -> str:
         if isinstance(item, ArrayOf):
             return f"{item.dtype.lstrip('<|')}[{', '.join(map(str, item.shape))}]"
     if origin is typing.Literal:
-        return ", ".join(f"`{word}`" for word in arguments)
+        return ", ".join(f"`{value}`" for value in arguments)
     if origin is tuple and Ellipsis in arguments:
         return f"list of {_named(arguments[0], [])}"
     if origin is tuple:

@@ -124,9 +124,9 @@ def _files(paths: list[Path]) -> list[Path]:
     """The clouds themselves, those of a folder by name. Raises FormatError for a folder without any."""
     clouds: list[Path] = []
     for path in paths:
-        listed = (
-            sorted(p for p in path.iterdir() if p.suffix.lower() in _READERS) if path.is_dir() else [path]
-        )
+        listed = [path]
+        if path.is_dir():
+            listed = sorted(each for each in path.iterdir() if each.suffix.lower() in _READERS)
         if not listed:
             raise FormatError(str(path), "folder", f"clouds: {', '.join(_READERS)}")
         clouds += listed
@@ -163,9 +163,8 @@ class Poses:
         try:
             rows = np.loadtxt(_numbers(args.poses), ndmin=2)
         except ValueError as error:
-            raise FormatError(
-                file, "poses", f"rows of 12 numbers ({' '.join(str(error).split())[:80]})"
-            ) from None
+            why = " ".join(str(error).split())[:80]
+            raise FormatError(file, "poses", f"rows of 12 numbers ({why})") from None
         if rows.shape[1:] != (12,) or len(rows) < 2 or not np.isfinite(rows).all():
             raise FormatError(file, "poses", "two rows of 12 numbers or more", actual=f"{rows.shape}")
         poses = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -232,14 +231,12 @@ def _placed(
         placed = transform_points(poses.of_sweep(path, *place) @ pose_from_sensor, points)
         latitude, longitude, height_m = poses.frame.geodetic_from_enu_array(placed)
     elif crs_wkt is not None:
-        horizontal, stated = horizontal_and_vertical(
-            crs_of(crs_wkt, str(path), "CRS", "one that PROJ knows"), str(path)
-        )
+        crs = crs_of(crs_wkt, str(path), "CRS", "one that PROJ knows")
+        horizontal, stated = horizontal_and_vertical(crs, str(path))
         vertical = vertical_of(args, str(path), stated)
         transformer = to_horizontal(horizontal, args.datum, str(path))
-        longitude, latitude = np.radians(
-            transformer.transform(points[:, 0], points[:, 1], direction="INVERSE")
-        )
+        places_deg = transformer.transform(points[:, 0], points[:, 1], direction="INVERSE")
+        longitude, latitude = np.radians(places_deg)
         if not np.isfinite(latitude).all():
             raise FormatError(str(path), "x y", "places within the reference system that the file names")
         height_m = vertical.ellipsoidal_m(latitude, longitude, points[:, 2], str(path))

@@ -153,9 +153,8 @@ class GroundHeights:
         left = mean[..., 2] - base[:, None] - np.einsum("mki,mi->mk", columns, solved)
         variance = self.variance_m2[row] if len(self.key) else 0.0 * keys
         sigma = np.sqrt(np.einsum("mk,mk->m", weight, left**2 + variance) / total)
-        one_sided = (
-            np.abs(np.einsum("mk,mki->mi", weight, off) / total[:, None]).max(axis=1, initial=0.0) > 0.75
-        )
+        mean_off = np.einsum("mk,mki->mi", weight, off) / total[:, None]
+        one_sided = np.abs(mean_off).max(axis=1, initial=0.0) > 0.75
         known = (there.sum(axis=1) >= _LEAST_CELLS) & ~one_sided
         return np.where(known, base + solved[:, 0], np.nan), np.where(known, sigma, np.nan)
 

@@ -212,18 +212,16 @@ class _KnownPatch:
         frame, along, across = self.piece.frame, *(np.array([value]) for value in self.centre_m)
         latitude, longitude, _ = frame.geodetic_from_east_north_array(self.piece.points(along, across), 0.0)
         step = (longitude[0] - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
-        return (
-            float(latitude[0]),
-            float(longitude[0]),
-            self.piece.yaw_rad - step * math.sin(frame.latitude_rad),
-        )
+        yaw_rad = self.piece.yaw_rad - step * math.sin(frame.latitude_rad)
+        return float(latitude[0]), float(longitude[0]), yaw_rad
 
     def surface_id(self, links: RoadLinks) -> int:
         """The same for the same part of the same line, whatever its height is."""
         line = quantized_degrees(links.vertices[self.piece.row])
         begin_m = self.centre_m[0] - self.half_length_m - float(self.piece.along_m[0])
         link_id = int(links.link_id[self.piece.row])
-        return named_id("surface", link_id, line, self.piece.number, int(begin_m + 1e-6))
+        place = (link_id, line, self.piece.number, int(begin_m + 1e-6))
+        return named_id("surface", *place)
 
 
 def _known_parts(
