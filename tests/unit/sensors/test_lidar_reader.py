@@ -8,14 +8,21 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from camber.formats.lidar_can.ouster import OusterDecoder
+from camber.formats.lidar_can.firings import LidarDecoder
+from camber.formats.lidar_can.ouster import OusterDecoder, packet_type
 from camber.formats.lidar_can.ouster_metadata import read_ouster_metadata
 from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.lidar import Sweep
 from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
-from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
+from camber.simulator.output.lidar_packets import (
+    PATTERNS,
+    PROFILE,
+    ouster_metadata,
+    ouster_packets,
+    velodyne_packets,
+)
 from camber.simulator.scene import Shapes
 from camber.simulator.vehicle.lidar import SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
@@ -25,6 +32,7 @@ KINDS = ("velodyne", "ouster")
 # So that an hour ends within.
 START_NS = gps_ns_from_utc(CalendarTime(2026, 3, 20, 9, 59, 59, 750_000_000))
 LATE_NS = 300_000
+OUSTER_PACKET = packet_type(PROFILE, 64)
 GROUND = np.array([[[-90.0, -90, 0], [90, -90, 0], [90, 90, 0]], [[-90, -90, 0], [90, 90, 0], [-90, 90, 0]]])
 
 
@@ -53,9 +61,12 @@ def packets(kind: str) -> tuple[tuple[int, bytes], ...]:
 
 
 def reader(kind: str, *, least_share: float = 0.5) -> LidarReader:
-    if kind == "velodyne":
-        return LidarReader("top", VelodyneDecoder(MODELS["HDL-32E"]), clock("utc_hour"), least_share)
-    return LidarReader("top", ouster(), clock("tai"), least_share)
+    scale: TimeScale = "utc_hour" if kind == "velodyne" else "tai"
+    return LidarReader("top", decoder(kind), clock(scale), least_share)
+
+
+def decoder(kind: str) -> LidarDecoder:
+    return VelodyneDecoder(MODELS["HDL-32E"]) if kind == "velodyne" else ouster()
 
 
 def clock(scale: TimeScale) -> SensorClock:
@@ -166,8 +177,7 @@ def test_what_is_measured_in_no_turn_is_not_lost(kind: str, middle: float) -> No
 
 
 def test_of_two_returns_each_packet_that_is_lost_is_one() -> None:
-    decoder = VelodyneDecoder(MODELS["HDL-32E"])
-    one = LidarReader("top", decoder, clock("utc_hour"), 0.5)
+    one = reader("velodyne")
     made = dual_velodyne(packets("velodyne"))
     kept = [packet for k, packet in enumerate(made) if k % 10 != 4]
     assert len(made) > 700
@@ -231,8 +241,7 @@ def shifted_velodyne(payload: bytes, by_us: int) -> bytes:
 
 
 def shifted_ouster(payload: bytes, by_ns: int, session: int = 7) -> bytes:
-    decoder = ouster()
-    packet = np.frombuffer(payload, decoder._packet).copy()
+    packet = np.frombuffer(payload, OUSTER_PACKET).copy()
     packet["columns"]["stamp_ns"] += np.uint64(by_ns % 2**64)
     packet["session"] = list(session.to_bytes(3, "little"))
     return packet.tobytes()
@@ -299,9 +308,8 @@ def turned(kind: str, payload: bytes, columns: int) -> bytes:
     """The same packet of a sensor that is so many columns further on."""
     if kind == "velodyne" or not columns:
         return payload
-    decoder = ouster()
-    packet = np.frombuffer(payload, decoder._packet).copy()
-    packet["columns"]["place"] = (packet["columns"]["place"] + columns) % decoder._metadata.columns
+    packet = np.frombuffer(payload, OUSTER_PACKET).copy()
+    packet["columns"]["place"] = (packet["columns"]["place"] + columns) % 1024
     return packet.tobytes()
 
 
@@ -346,8 +354,7 @@ def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_free_running_sensor_is_late_by_no_more_than_its_network(kind: str) -> None:
     """A packet leaves once its last measurement is made; that is not the delay of its first."""
-    decoder = reader(kind)._decoder
-    one = LidarReader("top", decoder, clock("arrival"), 0.5)
+    one = LidarReader("top", decoder(kind), clock("arrival"), 0.5)
     result, _ = read(one, packets(kind))
     for sweep, true in zip(result, sweeps(kind), strict=True):
         assert abs(sweep.time_ns - true.time_ns - LATE_NS) < 150_000
@@ -371,9 +378,8 @@ def test_an_ouster_in_another_mode_than_in_its_metadata_gives_no_sweep(mode: str
 def misplaced() -> list[tuple[int, bytes]]:
     """The packets of four turns, one of them, in the third, with a column that the metadata do not have."""
     made = list(packets("ouster"))
-    decoder = ouster()
     at = len(made) * 5 // 8
-    packet = np.frombuffer(made[at][1], decoder._packet).copy()
+    packet = np.frombuffer(made[at][1], OUSTER_PACKET).copy()
     packet["columns"]["place"][0, 3] = 5000
     made[at] = made[at][0], packet.tobytes()
     return made
