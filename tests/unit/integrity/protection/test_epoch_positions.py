@@ -514,6 +514,7 @@ def test_on_a_slope_the_height_shares_the_error_of_the_place():
         ({"road": road(datum=None)}, None, "datum_mismatch"),
         ({"road": road(slope_east=None)}, None, "road_unknown"),
         ({"road": road(slope_north=None)}, None, "road_unknown"),
+        ({}, antenna(status="unknown", height_m=None), "antenna_height_missing"),
     ],
 )
 def test_where_the_height_is_not_known_the_position_is_there_but_not_usable(changes, the_antenna, reason):
@@ -529,7 +530,10 @@ def test_where_the_height_is_not_known_the_position_is_there_but_not_usable(chan
     ("the_pose", "reason"),
     [
         (provisional(), "pose_provisional"),
+        (provisional(mode="anchored"), "pose_provisional"),
+        (provisional(provenance="confirmed"), "pose_provisional"),
         (pose(mode="none"), "pose_missing"),
+        (pose(provenance="none"), "pose_missing"),
         (pose(latitude_rad=None), "pose_missing"),
         (pose(covariance_east_north_yaw=None), "pose_missing"),
         (pose(covariance_east_north_yaw=(1.0, 2.0, 0.0, 1.0, 0.0, 0.0)), "pose_too_uncertain"),

@@ -10,7 +10,7 @@ from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.position_output import PositionOutput, _distance2
 from camber.integrity.rules import Rules
-from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, fix, pose, provisional, road
+from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose
 
 RULES = Rules()
 
@@ -21,70 +21,16 @@ def right(the_fix=None, **changes):
     )
 
 
-def from_pose(the_pose, the_antenna=None, *, correction_m=0.0, alive=ALL):
-    inputs = EpochInputs(pose=the_pose, antenna=the_antenna, alive=alive)
-    return PositionOutput(RULES).at(the_pose.time_ns, inputs, correction_m)
-
-
 # --- poses -------------------------------------------------------------------------------------------------------
 
 
 def test_a_pose_stands_on_the_road_with_its_antenna():
-    position = from_pose(pose(), antenna(), correction_m=0.05)
+    inputs = EpochInputs(pose=pose(), antenna=antenna(), alive=ALL)
+    position = PositionOutput(RULES).at(at(0), inputs, 0.05)
     assert position.source == "sensors"
     assert position.height_m == pytest.approx(ROAD_M + ANTENNA_M + 0.05)
     assert position.fix_id is None
     assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2)
-
-
-def test_on_a_slope_the_height_shares_the_error_of_the_place():
-    position = from_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2)), antenna())
-    assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
-
-
-def test_a_pose_from_scan_matching_says_so():
-    assert from_pose(pose(mode="scan_match", provenance="scan_match")).source == "scan_match"
-
-
-@pytest.mark.parametrize(
-    ("the_pose", "the_antenna"),
-    [
-        (pose(), None),
-        (pose(), antenna(-11)),
-        (pose(), antenna(status="disagreement")),
-        (pose(road=road(status="unknown", reason="no_surface")), antenna()),
-        (pose(road=road(datum=None)), antenna()),
-        (pose(road=road(slope_east=None)), antenna()),
-        (pose(road=road(slope_north=None)), antenna()),
-    ],
-)
-def test_where_road_or_antenna_is_not_known_the_height_is_not(the_pose, the_antenna):
-    position = from_pose(the_pose, the_antenna)
-    assert position.height_m is None
-    assert not position.usable
-    assert position.covariance_enu_m2[5] == 1e6
-
-
-@pytest.mark.parametrize(
-    ("the_pose", "reason"),
-    [
-        (provisional(), "pose_provisional"),
-        (provisional(mode="anchored"), "pose_provisional"),
-        (provisional(provenance="confirmed"), "pose_provisional"),
-        (pose(mode="none"), "pose_missing"),
-        (pose(provenance="none"), "pose_missing"),
-        (pose(latitude_rad=None), "pose_missing"),
-        (pose(covariance_east_north_yaw=None), "pose_missing"),
-        (pose(covariance_east_north_yaw=(1.0, 2.0, 0.0, 1.0, 0.0, 0.0)), "pose_too_uncertain"),
-    ],
-)
-def test_a_provisional_pose_or_one_of_no_use_gives_no_position(the_pose, reason):
-    position = from_pose(the_pose, antenna())
-    assert position.source == "none"
-    assert position.reason == reason
-    assert not position.usable
-    assert position.latitude_rad is position.height_m is position.covariance_enu_m2 is None
-    assert (position.alert_limit_m, position.vertical_alert_limit_m) == (1.5, 2.0)
 
 
 # --- verdicts ----------------------------------------------------------------------------------------------------
