@@ -34,6 +34,7 @@ State = Literal["right", "wrong", "float", "none"]
 NAME = "short-drive"
 START_NS = 1_400_000_000 * 1_000_000_000
 DURATION_S = 120.0
+"""Chosen, as all numbers of this drive: a test or a demonstration needs no longer one."""
 RATE_HZ = 5
 ANTENNA_HEIGHT_M = 1.6
 MAP_SIGMA_M = 0.03

@@ -32,14 +32,16 @@ PARTS = ("faults", "drives", "nagoya")
 NAGOYA = Path("tests/replay/nagoya.toml")
 DRIVE_SEEDS = (9301, 9302, 9303)
 CANYONS_S = 1800.0
+"""Chosen: about as long as the recorded drives that it is compared with."""
 LIDAR_S = 60.0
+"""Chosen: a minute of sweeps is matched in some minutes."""
 _NO_STREAMS = "satellites.streams=false"
 _SYSTEMS_OF_R = 'satellites.systems="GJC"'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """One drive: which part it is of, the name of its file, what runs it and with what."""
+    """One drive: its part, the name of its file, the function that runs it and its arguments."""
 
     part: str
     name: str
@@ -57,11 +59,9 @@ def main(argv: Sequence[str]) -> int:
     try:
         parts = () if args.page_only else args.only or PARTS
         jobs = [job for part in parts for job in _jobs(part, args, notes)]
-        failed = (
-            []
-            if args.page_only
-            else _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
-        )
+        failed: list[str] = []
+        if not args.page_only:
+            failed = _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
         notes += failed
         if args.page is not None:
             args.page.write_text(_page(args.out, args.lab, notes), "utf-8")
@@ -86,30 +86,26 @@ def _jobs(part: str, args: argparse.Namespace, notes: list[str]) -> Iterator[Job
         for seed in range(args.first_seed, args.first_seed + args.seeds):
             for required in REQUIREMENTS:
                 sigma_m = required.map_sigma_m
+                arguments = {"manifest": args.nagoya, "seed": seed, "map_sigma_m": sigma_m}
                 name = f"sigma-{sigma_m:.2f}-seed-{seed:03d}"
-                yield Job(
-                    part, name, run_seed, {"manifest": args.nagoya, "seed": seed, "map_sigma_m": sigma_m}
-                )
+                yield Job(part=part, name=name, run=run_seed, arguments=arguments)
     elif part == "drives":
         canyons = ("canyons", f"duration_s={args.duration_s or CANYONS_S}", _NO_STREAMS, _SYSTEMS_OF_R)
-        city = (
-            "city",
-            f"duration_s={min(args.duration_s or LIDAR_S, LIDAR_S)}",
-            _NO_STREAMS,
-            "lidar.beams=32",
-        )
+        lidar_s = min(args.duration_s or LIDAR_S, LIDAR_S)
+        city = ("city", f"duration_s={lidar_s}", _NO_STREAMS, "lidar.beams=32")
         for scenario, *overrides in (canyons, city):
             for seed in args.drive_seeds:
                 arguments = {"scenario": scenario, "seed": seed, "overrides": overrides}
-                yield Job(part, f"{scenario}-seed-{seed}", run_drive, arguments)
+                yield Job(part=part, name=f"{scenario}-seed-{seed}", run=run_drive, arguments=arguments)
         scenario, *overrides = canyons
         seed = args.drive_seeds[0]
         arguments = {"scenario": scenario, "seed": seed, "overrides": overrides, "re_estimation": WITHOUT}
-        yield Job(part, f"{scenario}-seed-{seed}-without-re-estimation", run_drive, arguments)
+        name = f"{scenario}-seed-{seed}-without-re-estimation"
+        yield Job(part=part, name=name, run=run_drive, arguments=arguments)
     else:
         seed = args.drive_seeds[0]
         arguments = {"seed": seed, "overrides": (_NO_STREAMS,), "lidar": not args.no_lidar}
-        yield Job(part, f"faults-seed-{seed}", run_faults, arguments)
+        yield Job(part=part, name=f"faults-seed-{seed}", run=run_faults, arguments=arguments)
         if args.no_lidar:
             notes.append("Faults were driven without a LiDAR, and those that concern it left out.")
 
@@ -125,7 +121,7 @@ def _run(jobs: Sequence[Job], out: Path, *, workers: int, keep: bool, quiet: boo
     # Small matrices gain nothing from more threads; the children inherit this.
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_settings_of_nobody) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_without_user_settings) as pool:
         running = {pool.submit(_work, job, out / "work"): job for job in due}
         for done, future in enumerate(as_completed(running), start=1):
             job = running[future]
@@ -136,11 +132,8 @@ def _run(jobs: Sequence[Job], out: Path, *, workers: int, keep: bool, quiet: boo
                 _write(_file(out, job), future.result())
             if not quiet:
                 spent_s = time.monotonic() - began
-                print(
-                    f"{done} of {len(due)}: {job.part} {job.name}, {spent_s:.0f} s",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                progress = f"{done} of {len(due)}: {job.part} {job.name}, {spent_s:.0f} s"
+                print(progress, file=sys.stderr, flush=True)
     return failed
 
 
@@ -154,7 +147,7 @@ def _work(job: Job, work: Path) -> dict[str, Any]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _settings_of_nobody() -> None:
+def _without_user_settings() -> None:
     """The drive's settings alone count: an operator's environment must not change the evidence."""
     for name in [name for name in os.environ if name.startswith("CAMBER_") and name != "CAMBER_DATA"]:
         del os.environ[name]
@@ -176,55 +169,30 @@ def _page(out: Path, lab: Path, notes: Sequence[str]) -> str:
         [json.loads(path.read_text("utf-8")) for path in sorted((out / part).glob("*.json"))]
         for part in PARTS
     )
-    return page(nagoya, drives, faults, _lab(lab), notes)
-
-
-def _lab(path: Path) -> str | None:
-    """What the lab has to say, where it was run."""
-    if not path.exists():
-        return None
-    return lab_page(json.loads(path.read_text("utf-8")))
+    of_lab = lab_page(json.loads(lab.read_text("utf-8"))) if lab.exists() else None
+    return page(nagoya, drives, faults, lab=of_lab, notes=notes)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("--only", action="append", choices=PARTS, help="this part; may be repeated")
-    parser.add_argument(
-        "--seeds",
-        type=whole_from(1, 10_000),
-        default=50,
-        metavar="N",
-        help="drives of the recording for each σ",
-    )
-    parser.add_argument("--first-seed", type=SEED, default=1, help="the first of their seeds")
-    parser.add_argument(
-        "--drive-seeds",
-        type=SEED,
-        nargs="+",
-        default=list(DRIVE_SEEDS),
-        metavar="SEED",
-        help="simulated drives",
-    )
-    parser.add_argument(
-        "--duration-s",
-        type=number_from(1.0, 86_400.0, "s"),
-        help="of the simulated drives; 1800 where not given",
-    )
-    parser.add_argument(
-        "--nagoya", type=Path, default=NAGOYA, metavar="FILE", help="the recording's manifest"
-    )
-    parser.add_argument(
-        "--lab", type=Path, default=Path("out/lab/lab.json"), metavar="FILE", help="the lab's result"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/evidence"), metavar="DIR", help="where figures go"
-    )
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there, docs/evidence.md")
-    parser.add_argument("--page-only", action="store_true", help="drive nothing: the page of what is there")
-    parser.add_argument("--no-lidar", action="store_true", help="faults without a LiDAR, in minutes")
-    parser.add_argument("--keep", action="store_true", help="run only what has no figures yet")
-    parser.add_argument("--processes", type=PROCESSES, default=2, help="drives at a time")
-    parser.add_argument("--quiet", action="store_true", help="no line for each drive")
+    add = parser.add_argument
+    count, duration_s = whole_from(1, 10_000), number_from(1.0, 86_400.0, "s")
+    lab = Path("out/lab/lab.json")
+    add("--only", action="append", choices=PARTS, help="this part; may be repeated")
+    add("--seeds", type=count, default=50, metavar="N", help="drives of the recording for each σ")
+    add("--first-seed", type=SEED, default=1, help="the first of their seeds")
+    seeds = list(DRIVE_SEEDS)
+    add("--drive-seeds", type=SEED, nargs="+", default=seeds, metavar="SEED", help="simulated drives")
+    add("--duration-s", type=duration_s, help="of the simulated drives; 1800 where not given")
+    add("--nagoya", type=Path, default=NAGOYA, metavar="FILE", help="the recording's manifest")
+    add("--lab", type=Path, default=lab, metavar="FILE", help="the lab's result")
+    add("--out", type=Path, default=Path("out/evidence"), metavar="DIR", help="where figures go")
+    add("--page", type=Path, metavar="FILE", help="write the page there, docs/evidence.md")
+    add("--page-only", action="store_true", help="drive nothing: the page of what is there")
+    add("--no-lidar", action="store_true", help="faults without a LiDAR, in minutes")
+    add("--keep", action="store_true", help="run only what has no figures yet")
+    add("--processes", type=PROCESSES, default=2, help="drives at a time")
+    add("--quiet", action="store_true", help="no line for each drive")
     return parser
 
 

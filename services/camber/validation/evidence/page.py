@@ -42,7 +42,9 @@ trials bound a rate by 3/n (95 %), no better, and epochs of one episode are one 
 """
 
 
-def page(nagoya: Results, drives: Results, faults: Results, lab: str | None, notes: Sequence[str]) -> str:
+def page(
+    nagoya: Results, drives: Results, faults: Results, *, lab: str | None = None, notes: Sequence[str] = ()
+) -> str:
     """The whole page; `lab` is the part that the lab makes itself, `notes` are lines on what was left out and why."""
     parts = [_HEAD]
     parts += [f"{note}\n" for note in notes]

@@ -28,7 +28,7 @@ def judged(confirmed_wrong: int = 0, kept: float = 0.99, missed: int = 0) -> dic
 
 
 def nagoya(seed: int, sigma_m: float = 0.05, wrong_at_s: tuple[float, ...] = ()) -> dict[str, Any]:
-    found = [
+    wrong_epochs = [
         {
             "at_s": at_s,
             "error_m": 0.6,
@@ -51,13 +51,13 @@ def nagoya(seed: int, sigma_m: float = 0.05, wrong_at_s: tuple[float, ...] = ())
         "map_sigma_m": sigma_m,
         "wrong": 114,
         "judges": {
-            "camber": judged(len(found), missed=len(found)),
+            "camber": judged(len(wrong_epochs), missed=len(wrong_epochs)),
             "ratio_test_only": ratio,
             "height_only": ratio,
             "always_unknown": judged(0, 0.0),
         },
         "held_back": {"unknown: starting": 4},
-        "wrong_confirmed": found,
+        "wrong_confirmed": wrong_epochs,
     }
 
 
@@ -86,18 +86,18 @@ def drive(seed: int) -> dict[str, Any]:
     }
 
 
-def test_a_drive_without_re_estimation_stands_beside_the_same_one_with_it_and_in_no_other_table() -> None:
+def test_a_drive_without_re_estimation_is_in_a_row_with_the_same_one_with_it_and_in_no_other_table() -> None:
     with_it = drive(51) | {"re_estimation": "agreement", "confirmed": 116}
     without = drive(51) | {"re_estimation": "off", "confirmed": 100, "epochs": 10_000}
-    text = page([], [with_it, without], [], None, [])
+    text = page([], [with_it, without], [])
     assert "| canyon | 51 | 100 | 116 | 16.0 % | 0 | 0 | yes |" in text
     assert "10000" not in text
     for worse in ({"confirmed": 114}, {"confirmed": 117, "confirmed_wrong": 1}):
-        assert "| **no** |" in page([], [with_it | worse, without], [], None, [])
+        assert "| **no** |" in page([], [with_it | worse, without], [])
 
 
 def test_without_the_drive_that_has_no_re_estimation_that_part_was_not_run() -> None:
-    text = page([], [drive(51)], [], None, [])
+    text = page([], [drive(51)], [])
     assert f"### Re-estimation\n\n{NOT_RUN}" in text
 
 
@@ -123,14 +123,14 @@ def faults() -> dict[str, Any]:
 
 
 def test_a_page_without_results_claims_nothing() -> None:
-    text = page([], [], [], None, ["Nagoya was skipped."])
+    text = page([], [], [], notes=["Nagoya was skipped."])
     assert text.count(NOT_RUN) == 4
     assert "Nagoya was skipped." in text
     assert "%" not in text.split("## A recorded drive")[1]
 
 
 def test_a_table_for_each_sigma_names_seeds_and_n_and_a_sigma_that_was_not_run_says_so() -> None:
-    text = page([nagoya(1), nagoya(2)], [], [], None, [])
+    text = page([nagoya(1), nagoya(2)], [], [])
     assert "seeds 1 to 2 (2 drives)" in text
     assert "| Camber | 0 of 228 | 99.00 % | 4 | 0 of 30 × 2 | 10 % |" in text
     assert "met so far, with fewer seeds" in text
@@ -139,13 +139,13 @@ def test_a_table_for_each_sigma_names_seeds_and_n_and_a_sigma_that_was_not_run_s
 
 
 def test_a_wrong_epoch_that_was_confirmed_is_listed_with_what_the_judge_measured() -> None:
-    text = page([nagoya(1), nagoya(2, wrong_at_s=(512.4, 513.0))], [], [], None, [])
+    text = page([nagoya(1), nagoya(2, wrong_at_s=(512.4, 513.0))], [], [])
     assert "**not met**" in text
     assert "| 2 | 512.4 | +0.10, -0.17, -0.49 | +0.19 | — | 12.3 | +0.010 | confirmed (height) |" in text
 
 
 def test_all_seeds_within_the_limits_meet_what_is_asked_for() -> None:
-    assert "**met**" in page([nagoya(seed) for seed in range(1, 51)], [], [], None, [])
+    assert "**met**" in page([nagoya(seed) for seed in range(1, 51)], [], [])
 
 
 def test_the_figures_of_a_judge_are_summed_over_seeds_but_episodes_are_the_recordings() -> None:
@@ -154,8 +154,8 @@ def test_the_figures_of_a_judge_are_summed_over_seeds_but_episodes_are_the_recor
     assert summed["seeds_with_a_miss"] == 1
 
 
-def test_errors_stand_beside_those_of_the_source_and_modes_without_epochs_say_none() -> None:
-    text = page([], [drive(51), drive(52)], [], None, [])
+def test_errors_are_in_a_row_with_those_of_the_source_and_modes_without_epochs_say_none() -> None:
+    text = page([], [drive(51), drive(52)], [])
     assert "| error < 1.0 m | 91.8 % | 99.0 % | 87.50 % |" in text
     assert "| error < 2.0 m | 99.9 % | 100.0 % | 100.00 % | 100.00 % – 100.00 % |" in text
     assert "| doppler | 0 | — | none |" in text
@@ -166,14 +166,14 @@ def test_errors_stand_beside_those_of_the_source_and_modes_without_epochs_say_no
 
 
 def test_a_fault_that_nothing_names_is_marked() -> None:
-    text = page([], [], [faults()], None, [])
+    text = page([], [], [faults()])
     assert "| wrong_base 30–50 s | cause base after 0.4 s | 88 of 90 | 0 | 0 | +0.000 → — → +0.010 |" in text
     assert "| jamming 30–50 s | **not named** |" in text
     assert "without LiDAR" in text
 
 
 def test_the_labs_part_stands_as_the_lab_made_it() -> None:
-    text = page([], [], [], "## The lab\n\nA million trials.\n", [])
+    text = page([], [], [], lab="## The lab\n\nA million trials.\n")
     assert text.count("## The lab") == 1
     assert "A million trials." in text
 
