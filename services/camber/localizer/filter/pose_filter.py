@@ -7,7 +7,7 @@ takes the errors of `S = (alpha, c, r, phi)` for white. They are not: pose, last
 `scan_match_update`) are states (`filter_state`), so that repetition does not make the covariance too small.
 
 A pose that rests on unconfirmed fixes alone is *provisional*: the sensors learn nothing from it, and once scan matches
-have shown where the vehicle is, the pose begins anew from them and no longer depends on the fixes.
+have shown where the vehicle is, the pose restarts from them and no longer depends on the fixes.
 """
 
 from __future__ import annotations
@@ -292,7 +292,7 @@ class PoseFilter:
 
         The covariance is without the share of the motion (`motion_share`), and large along what the scene leaves open.
         `unique`: a search has excluded other positions. A match may be late by `match_max_age_s`. A provisional pose
-        is not updated: it begins anew from unique matches that agree. ValueError names what is not finite.
+        is not updated: it restarts from unique matches that agree. ValueError names what is not finite.
         """
         east_m, north_m, yaw_rad = (float(value) for value in pose)
         require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad)
@@ -368,7 +368,7 @@ class PoseFilter:
         return rejected
 
     def _begin_from(self, match: MatchedPose, here: TrackPoint, offset_m: Floats) -> None:
-        """Begin anew from a match with an enlarged covariance; `offset_m`: from the pose that was given up."""
+        """Restart from a match with an enlarged covariance; `offset_m`: from the pose that was given up."""
         model = self.model
         added = np.diag([model.support_sigma_m**2] * 2 + [model.support_sigma_rad**2])
         added[:2, :2] += _RECOVERY_SHARE * np.outer(offset_m, offset_m)

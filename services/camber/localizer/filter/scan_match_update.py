@@ -234,9 +234,7 @@ class ScanMatches:
 
     def _independent_share(self, match: MatchedPose) -> float:
         """Return the share of a match, in ]0, 1], that is independent of the one before."""
-        if (
-            self._last is None or self._wheel_slip.active
-        ):  # with slip no other source knows the distance since
+        if self._last is None or self._wheel_slip.active:  # with slip no other source observes the distance
             return 1.0
         distance = abs(match.track.path_m - self._last.track.path_m) / self._model.match_renewed_m
         time = (match.time_ns - self._last.time_ns) * 1e-9 / self._model.match_renewed_s

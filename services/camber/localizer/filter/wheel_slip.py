@@ -27,7 +27,7 @@ from camber.localizer.filter.pose_model import PoseModel
 
 
 class WheelSlipDetector:
-    """Detects wheel slip, and keeps the state that stands for it."""
+    """Detects wheel slip, and updates its state."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model

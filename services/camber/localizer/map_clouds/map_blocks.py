@@ -204,7 +204,7 @@ class MapBlockStore:
             del self._tiles[key], self._missing_reasons[key]
 
     def block_at(self, latitude_rad: float, longitude_rad: float) -> MapBlock | None:
-        """Return the block at a position, built when first needed; None: `reason` says why there is none."""
+        """Return the block at a position, built when first needed; None: `reason` is set."""
         number = _block_of(latitude_rad, longitude_rad)
         if number is None:
             self.reason = "beyond the limit of the tiles"

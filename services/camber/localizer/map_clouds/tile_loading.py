@@ -39,7 +39,7 @@ class CloudTileLoader:
         self._version = map_version
 
     def block_at(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> MapBlock | None:
-        """Return the block at a position, once its tiles are loaded; None: `reason` says why not."""
+        """Return the block at a position, once its tiles are loaded; None: `reason` is set."""
         if self._retried_ns is None or not 0 <= now_ns - self._retried_ns < _RETRY_MISSING_NS:
             self._retried_ns = now_ns
             self._blocks.forget_missing()

@@ -55,7 +55,7 @@ class _PlacedSweep:
 
 
 class LocalMap:
-    """The latest `sweeps` sweeps. It begins anew after a gap in time or a jump of the track."""
+    """The latest `sweeps` sweeps. It restarts after a gap in time or a jump of the track."""
 
     def __init__(
         self,

@@ -21,7 +21,7 @@ FLOOR_M: Final = 0.01
 FLOOR_RAD: Final = 5.0e-4
 COMMON_RAD: Final = 4.0e-4
 """Chosen: σ of the yaw common to all layers, by motion within the sweep and the sensor's mounting."""
-# Chosen: σ that stand for: not observed by this match.
+# Chosen: σ of a direction that the match does not observe.
 UNSEEN_M: Final = 10.0
 UNSEEN_RAD: Final = 0.35
 LEVER_M: Final = 20.0

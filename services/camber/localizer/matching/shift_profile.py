@@ -1,6 +1,6 @@
 """Likelihood of a match under shifts along its worst direction: the local map over the map, both seen from above.
 
-Least squares knows the curvature at its minimum, not whether there is another minimum, nor whether the few objects that
+Least squares gives the curvature at its minimum, not whether there is another minimum, nor whether the few objects that
 observe the direction are there at all. So the likelihood of shifts up to 3 m to both sides is integrated: a cell of
 the local map either hits static structure of the map, within the blur, or is an outlier (ε). Cells and not points
 count, for a thousand points on one post are one post.

@@ -82,9 +82,9 @@ class GroundPlane:
 def road_line(
     road_m: Floats, *, reach_m: float = REACH_M, half_width_m: float = 2.0, search_m: float = 1.5
 ) -> RoadLine | None:
-    """From road points of the map in the local frame (n, 3), x forward and z up, z about zero on the road.
+    """Fit a line to road points of the map in the local frame (n, 3), x forward and z up, z about zero on the road.
 
-    Points more than `search_m` above or below are of another road. None where fewer than 15 points say it.
+    Points more than `search_m` above or below are of another road. None with fewer than 15 points.
     """
     x, y, z = road_m[:, 0], road_m[:, 1], road_m[:, 2]
     near = (x * x + y * y < reach_m * reach_m) & (np.abs(y) < half_width_m) & (np.abs(z) < search_m)
@@ -110,14 +110,14 @@ def ground_plane(
     reach_m: float = 12.0,
     half_width_m: float = 2.5,
 ) -> GroundPlane | None:
-    """From a sweep in the vehicle frame (n, 3), own vehicle left out. None where no road is seen about it.
+    """Fit the road to a sweep in the vehicle frame (n, 3), without points of the vehicle. None where no road is seen.
 
     Only a strip of `half_width_m` to each side counts (a crowned road is two planes), between `nearest_m` and `reach_m`
     from the sensor. It is a plane with curvature along the way, so that crests do not lift the road.
     """
     x, y, z = points_m[:, 0] - mount.x_m, points_m[:, 1] - mount.y_m, points_m[:, 2]
     square = x * x + y * y
-    # Wide enough for a sensor that is 0.5 m and 10° off: to say that it is, the road must be found.
+    # Wide enough for a sensor that is 0.5 m and 10° off its mount: only a fitted road shows it.
     near = (square > nearest_m * nearest_m) & (square < reach_m * reach_m) & (np.abs(y) < half_width_m)
     near &= np.abs(z) < 0.6 + 0.18 * np.sqrt(square)
     about = np.column_stack((x[near], y[near], z[near]))
