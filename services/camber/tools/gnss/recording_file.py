@@ -34,7 +34,7 @@ WeekFrom = Literal["recording", "ephemerides", "caller", "file date"]
 
 _EXPECTED = "RINEX 3 or 4, UBX, RTCM 3, NMEA or a solution file of RTKLIB"
 _UNIX_TIME_OF_GPS_EPOCH_S = 315_964_800  # 1980-01-06 00:00 UTC (IS-GPS-200)
-_UBX_NAMES = {
+UBX_NAMES = {
     0x0101: "NAV-POSECEF", 0x0102: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0105: "NAV-ATT",
     0x0106: "NAV-SOL", 0x0107: "NAV-PVT", 0x0109: "NAV-ODO", 0x0111: "NAV-VELECEF", 0x0112: "NAV-VELNED",
     0x0113: "NAV-HPPOSECEF", 0x0114: "NAV-HPPOSLLH", 0x0120: "NAV-TIMEGPS", 0x0121: "NAV-TIMEUTC",
@@ -143,7 +143,7 @@ def message_name(frame: Frame) -> str:
         return f"RTCM {data[3] << 4 | data[4] >> 4}" if len(data) >= 8 else "RTCM, empty"
     if frame.protocol == "ubx":
         kind = data[2] << 8 | data[3]
-        return f"UBX {_UBX_NAMES.get(kind, f'{data[2]:02X}-{data[3]:02X}')}"
+        return f"UBX {UBX_NAMES.get(kind, f'{data[2]:02X}-{data[3]:02X}')}"
     return f"NMEA {data[1:].split(b',', 1)[0].split(b'*', 1)[0][:10].decode('latin-1')}"
 
 

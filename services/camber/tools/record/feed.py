@@ -222,7 +222,7 @@ def feed(
         raise ManifestError(f"{manifest.name}: only raw observations, expected something to feed live")
     for note in inputs.notes:
         print(f"{prog}: {note}", file=sys.stderr)
-    bus = _joined(settings, stop, prog)
+    bus = join_bus(settings, stop, prog)
     if bus is None:
         return
     try:
@@ -231,7 +231,7 @@ def feed(
         bus.close()
 
 
-def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
+def join_bus(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
     """Wait for the router and return the bus; None where `stop` is set first. Reports once that it waits.
 
     Raises BusError where waiting cannot help: an invalid endpoint, a certificate.

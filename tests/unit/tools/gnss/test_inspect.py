@@ -145,7 +145,7 @@ def test_a_packed_file_holds_what_the_plain_one_does(tmp_path: Path) -> None:
 
 
 def test_names_of_messages_are_those_of_a_second_implementation() -> None:
-    for number, name in recording_file._UBX_NAMES.items():
+    for number, name in recording_file.UBX_NAMES.items():
         assert UBX_MSGIDS[bytes(divmod(number, 256))] == name
 
 

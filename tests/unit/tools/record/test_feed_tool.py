@@ -278,7 +278,7 @@ def with_surrogate_map(folder: Path) -> Path:
 def test_the_map_of_the_drive_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     manifest = with_surrogate_map(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    monkeypatch.setattr(feed, "_joined", lambda *_: None)
+    monkeypatch.setattr(feed, "join_bus", lambda *_: None)
     assert feed.main([str(manifest)]) == 0
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
@@ -328,6 +328,6 @@ def test_a_router_that_is_not_there_is_asked_for_in_peace(
         raise NobodyThereError("cannot join the bus (client, tcp/away:1): no such host")
 
     monkeypatch.setattr(feed, "open_session", nobody)
-    assert feed._joined(ServiceSettings(), stop, "camber feed") is None
+    assert feed.join_bus(ServiceSettings(), stop, "camber feed") is None
     assert bus.now >= 19 * _NS // 2, "at most two a second, however quickly they fail"
     assert capsys.readouterr().err.count("; waiting\n") == 1
