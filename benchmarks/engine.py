@@ -178,9 +178,9 @@ def figures() -> list[Figure]:
     if not data or shutil.which("rnx2rtkp") is None:
         print("engine: no figure without CAMBER_DATA and rnx2rtkp (Debian: rtklib)", file=sys.stderr)
         return []
-    found: list[Figure] = []
+    figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for recording in recordings(Path(data)):
-            found += rates(recording, Path(folder))
-        found += [trials(recording), memory(recording)]
-    return found
+            figures += rates(recording, Path(folder))
+        figures += [trials(recording), memory(recording)]
+    return figures

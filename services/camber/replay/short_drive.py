@@ -35,9 +35,9 @@ NAME = "short-drive"
 START_NS = 1_400_000_000 * 1_000_000_000
 DURATION_S = 120.0
 """Chosen, as all numbers of this drive: a test or a demonstration needs no longer one."""
-RATE_HZ = 5
-ANTENNA_HEIGHT_M = 1.6
-MAP_SIGMA_M = 0.03
+RATE_HZ = 5  # chosen: as the recorded drive of Nagoya
+ANTENNA_HEIGHT_M = 1.6  # chosen: on the roof of a car
+MAP_SIGMA_M = 0.03  # chosen: a surveyed road
 
 SCHEDULE: tuple[tuple[float, float, State], ...] = (
     (0.0, 3.0, "wrong"),  # from the very start: no history to compare with
@@ -58,16 +58,16 @@ SCHEDULE: tuple[tuple[float, float, State], ...] = (
 """From (inclusive) and to (exclusive) in seconds after the start; otherwise fixes are right."""
 
 _ORIGIN = LocalFrame(math.radians(35.0), math.radians(137.0), 0.0)
-_GROUND_M = 40.0
-_RADIUS_M = 25.0
+_GROUND_M = 40.0  # chosen: about the ellipsoidal height near the coast of Japan
+_RADIUS_M = 25.0  # chosen: a street corner taken at 9 m/s
 _QUARTER_M = 0.5 * math.pi * _RADIUS_M
 # Length and turn (+1 left, −1 right, 0 straight); the seventh crosses over the first.
 _STREET: tuple[tuple[float, int], ...] = (
     (180.0, 0), (_QUARTER_M, 1), (30.0, 0), (_QUARTER_M, 1), (55.0, 0), (_QUARTER_M, 1), (110.0, 0),
     (_QUARTER_M, -1), (70.0, 0), (_QUARTER_M, -1), (30.0, 0), (_QUARTER_M, -1), (70.0, 0),
 )  # fmt: skip
-_STEP_M = 0.1
-_CLOTHOID_M = 8.0
+_STEP_M = 0.1  # chosen: far below the distance of two epochs
+_CLOTHOID_M = 8.0  # chosen: about a second of steering
 _HILL = (75.0, 165.0, 2.5)
 _CLIMB = (200.0, 400.0, 7.0)
 _DESCENT = (460.0, 600.0, -7.0)
@@ -76,8 +76,8 @@ _SPEED_S = (0.0, 10.0, 14.5, 42.5, 47.0, 56.0, 60.5, 109.1, 113.6, 120.0)
 _SPEED_M_S = (0.0, 0.0, 9.0, 9.0, 0.0, 0.0, 9.0, 9.0, 0.0, 0.0)
 
 _WAVELENGTH_M = 0.1903  # GPS L1
-_LEAST_WRONG_HEIGHT_M = 0.35
-_LARGEST_WRONG_M = 5.0
+_LEAST_WRONG_HEIGHT_M = 0.35  # chosen: beyond the height check's cap (0.3 m)
+_LARGEST_WRONG_M = 5.0  # chosen: wrong fixes by a few cycles are metres off
 _FIX_SIGMA_M = np.array([0.01, 0.01, 0.02])
 _FLOAT_SIGMA_M = np.array([0.4, 0.4, 0.7])
 

@@ -1,4 +1,4 @@
-"""What the parts of the evidence count: blocks of a drive, faults in a truth, what was said when."""
+"""What the parts of the evidence count: blocks of a drive, faults in a truth, indications in windows."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_an_epoch_without_a_position_counts_against_availability_alone() -> None
     assert block_counts(made, made.time_ns)["errors"] == [[2, 1, 1, 1, 1]]
 
 
-def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_its_own() -> None:
+def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_of_it() -> None:
     made = positions([0.1, 0.1, 0.1, 0.1], ["rtk"] * 4)
     step_ns = int(BLOCK_S / 4 * NS)
     later_ns = np.append(made.time_ns + step_ns // 5, made.time_ns[-1] + step_ns)
@@ -67,7 +67,7 @@ def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_its_own() -> N
     assert np.sum(block_counts(made, later_ns)["errors"], axis=0).tolist() == [5, 4, 4, 4, 4]
 
 
-def test_the_last_that_was_said_of_an_epoch_is_its_position() -> None:
+def test_the_last_position_of_an_epoch_counts() -> None:
     """A receiver's clock is 2 ms off: before its fix came, the vehicle's sensors gave a position of the epoch."""
     sensors = positions([0.5] * 4, ["sensors"] * 4)
     fixes = positions([0.1] * 4, ["rtk"] * 4)
