@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast
 
 from pydantic import Field, model_validator
 
@@ -15,10 +15,7 @@ from camber.integrity.rules import Rules
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Probability
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-P = TypeVar("P", bound="DataclassInstance")
+P = TypeVar("P")
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -37,145 +34,157 @@ class IntegritySettings(ServiceSettings):
     SERVICE: ClassVar[str] = "integrity"
 
     tests: tuple[Test, ...] = _sets(
-        "determination.tests", "what a fix is asked; not continuity and receiver alone, which speak for none"
+        "determination.tests",
+        "tests of a fix; continuity and receiver alone are not allowed, since neither confirms a fix",
     )
     tolerance: Literal["from_covariances", "fixed"] = _sets(
         "determination.tolerance",
-        "of the height: by the uncertainties at hand, or one number, JP7707657B2 eq. (3)",
+        "limit of the height difference: from the covariances, or tolerance_m, JP7707657B2 eq. (3)",
     )
     tolerance_m: float = _sets(
         "determination.tolerance_m",
-        "that number: largest height difference of a right position",
+        "largest height difference of a right position, where tolerance is fixed",
         gt=0.0,
         le=1.0,
     )
     height_cap_m: float = _sets(
         "determination.height_cap_m",
-        "no larger height difference agrees, whatever the uncertainties are",
+        "largest height difference that passes, however large its covariance",
         gt=0.0,
         le=1.0,
     )
     position_cap_m: Positive = _sets(
-        "determination.position_cap_m", "agreement with a pose says nothing where it reaches further"
+        "determination.position_cap_m",
+        "largest limit of the position test; beyond it the test is not decisive",
     )
     fix_sigma_cap_m: Positive = _sets(
         "determination.fix_sigma_cap_m",
-        "how much of a fix's own σ, each axis, may widen the agreement with the pose",
+        "largest σ of the fix, each axis, in the limit of the position test",
     )
     false_alarm_rate: Share = _sets(
         "determination.false_alarm_rate",
-        "right fixes that height and position may contradict, all tests together",
+        "share of right fixes that the height and position tests may reject, all tests together",
     )
     hold_back_rate: Share = _sets(
-        "determination.hold_back_rate", "right fixes that they may leave unverified"
+        "determination.hold_back_rate", "share of right fixes that these tests may leave unverified"
     )
     pose_sigma_limit_m: Positive = _sets(
-        "pose_sigma_limit_m", "beyond this σ the pose names no place on the road"
+        "pose_sigma_limit_m", "largest σ of a pose that selects a place on the road"
     )
     fix_sigma_limit_m: Positive = _sets(
-        "fix_sigma_limit_m", "a fix that claims a larger σ in any direction is none"
+        "fix_sigma_limit_m", "largest σ, in any direction, that the receiver may state for a fix"
     )
     alert_limit_m: Positive = _sets(
-        "alert_limit_m", "a position whose horizontal protection level is larger is not usable"
+        "alert_limit_m", "horizontal alert limit: a position with a larger protection level is not usable"
     )
-    vertical_alert_limit_m: Positive = _sets("levels.vertical_alert_limit_m", "the same upwards")
+    vertical_alert_limit_m: Positive = _sets(
+        "levels.vertical_alert_limit_m", "the same for the vertical axis"
+    )
     levels: Literal["integrity_risk", "reliability_index"] = _sets(
-        "levels.levels", "protection levels at a risk, wrong fixes included, or the reliability index"
+        "levels.levels",
+        "protection levels at an integrity risk that includes wrong fixes, or the reliability index",
     )
     integrity_risk: float = _sets(
-        "levels.integrity_risk", "probability, each epoch, that the error exceeds a level", gt=0.0, lt=0.1
+        "levels.integrity_risk",
+        "probability, per epoch, that the error exceeds the protection level",
+        gt=0.0,
+        lt=0.1,
     )
     wrong_fix_prior: Share = _sets(
         "levels.wrong_fix.prior",
-        "share of tentative fixes that are wrong, before any test, with many satellites",
+        "share of fixes that are wrong before any test, with many satellites",
     )
     wrong_fix_episode_s: Positive = _sets(
         "levels.wrong_fix.episode_s", "mean length of an episode of wrong fixes"
     )
     pose_fault_prior: float = _sets(
         "levels.pose_fault_prior",
-        "pose or Doppler off unnoticed beyond its covariance, each epoch",
+        "probability, per epoch, of an undetected fault of pose or Doppler beyond its covariance",
         ge=0.0,
         lt=1.0,
     )
     false_match_prior: Probability = _sets(
-        "levels.false_match_prior", "scan matching agrees with a pose that a wrong fix pulled metres off"
+        "levels.false_match_prior",
+        "probability that scan matching agrees with a pose that a wrong fix displaced by metres",
     )
     matches_apart_m: Positive = _sets(
-        "levels.matches_apart_m", "so far apart two matches are not wrong for the same reason"
+        "levels.matches_apart_m", "distance beyond which faults of two matches are independent"
     )
     horizontal_margin: AtLeastOne = _sets(
-        "levels.horizontal_margin", "scales horizontal σ in ellipses and levels"
+        "levels.horizontal_margin", "factor on horizontal σ in error ellipses and protection levels"
     )
     time_to_alert_s: Positive = _sets(
-        "levels.time_to_alert_s", "no position rests on velocities or motion older than this"
+        "levels.time_to_alert_s", "largest age of velocities and motion that a position may use"
     )
     doppler_sigma_scale: AtLeastOne = _sets(
-        "levels.doppler.sigma_scale", "true σ of a satellite velocity by the claimed"
+        "levels.doppler.sigma_scale", "ratio of true to stated σ of a satellite velocity"
     )
-    doppler_sigma_floor_m_s: NotNegative = _sets("levels.doppler.sigma_floor_m_s", "and beside it, each axis")
+    doppler_sigma_floor_m_s: NotNegative = _sets(
+        "levels.doppler.sigma_floor_m_s", "σ added to that, each axis"
+    )
     doppler_correlation_s: Positive = _sets(
-        "levels.doppler.correlation_s", "so long errors of velocities are alike"
+        "levels.doppler.correlation_s", "correlation time of velocity errors"
     )
     doppler_longest_s: Positive = _sets(
-        "levels.doppler.longest_s", "longest time by Doppler after a confirmed position"
+        "levels.doppler.longest_s", "longest propagation by Doppler after a confirmed position"
     )
     sigma_scale: AtLeastOne = _sets(
-        "true_sigma.scale", "true σ of a right fix by the claimed: multipath by a receiver's noise model"
+        "true_sigma.scale",
+        "ratio of true to stated σ of a right fix: multipath beyond the noise model of the receiver",
     )
     sigma_horizontal_m: Positive = _sets(
-        "true_sigma.horizontal_m", "and beside it, each axis: reference point and frame"
+        "true_sigma.horizontal_m", "σ added to that, each horizontal axis: reference point and frame"
     )
-    sigma_vertical_m: Positive = _sets("true_sigma.vertical_m", "the same upwards")
+    sigma_vertical_m: Positive = _sets("true_sigma.vertical_m", "the same for the vertical axis")
     start_fixes: int = _sets(
-        "start.fixes", "fixes in a row that must agree before the first is confirmed", ge=2
+        "start.fixes", "consecutive fixes that must agree before the first is confirmed", ge=2
     )
-    start_duration_s: NotNegative = _sets("start.duration_s", "and the time they must span")
-    start_gap_s: Positive = _sets("start.longest_gap_s", "longest time between two of them")
+    start_duration_s: NotNegative = _sets("start.duration_s", "time these fixes must span")
+    start_gap_s: Positive = _sets("start.longest_gap_s", "longest time between two of these fixes")
     start_distance_m: Positive = _sets(
-        "start.distance_m", "most by which the distance between two may differ from the wheels', and 2 %"
+        "start.distance_m",
+        "largest difference between the distance of two fixes and wheel odometry, plus 2 %",
     )
     learning: Mode = _sets(
         "learning.mode",
-        "what is learnt: the antenna's part of a difference, or by JP7707657B2 eq. (5) all of it",
+        "per_cause: learn the antenna's share of a height difference; document: all of it, JP7707657B2 eq. (5)",
     )
     learning_gain: Share = _sets("learning.gain", "g of JP7707657B2 eq. (5), where learning is document")
     learning_least_speed_m_s: NotNegative = _sets(
-        "learning.least_speed_m_s", "upper edge of the stop range: slower learns nothing"
+        "learning.least_speed_m_s", "lowest speed at which the correction is learnt"
     )
-    learning_cap_m: Positive = _sets("learning.cap_m", "largest correction that is believed")
+    learning_cap_m: Positive = _sets("learning.cap_m", "largest correction that is applied")
     learning_rate_m_s: Positive = _sets(
-        "learning.rate_m_s", "most by which the correction changes in a second, where it is per_cause"
+        "learning.rate_m_s", "largest rate of change of the correction, where learning is per_cause"
     )
     map_correlation_m: Positive = _sets(
         "learning.correlation_m",
-        "distance over which the map's error falls to 1/e: so far its errors are alike",
+        "correlation length of the map's height error (fall to 1/e)",
     )
-    series_gap_s: Positive = _sets("series.longest_gap_s", "longest time a right fix vouches for the next")
+    series_gap_s: Positive = _sets("series.longest_gap_s", "longest time between two fixes of a time series")
     series_chain: int = _sets(
-        "series.longest_chain", "longest chain of verified fixes without a confirmed one", ge=1
+        "series.longest_chain", "largest number of fixes verified by time series since a confirmed one", ge=1
     )
     series_horizontal_m: Positive = _sets(
-        "series.horizontal_m", "most by which a fix may have moved otherwise than the vehicle"
+        "series.horizontal_m", "largest horizontal difference between the motion of fixes and of the vehicle"
     )
     series_vertical_m: Positive = _sets(
-        "series.vertical_m", "most by which it may have risen otherwise than the road"
+        "series.vertical_m", "largest difference between the height change of fixes and of the road"
     )
     verified_by: tuple[VerificationEvidence, ...] = _sets(
-        "verification.enough", "what suffices to confirm a fix that the height is against"
+        "verification.enough",
+        "evidence of which one kind suffices to confirm a fix that fails the height test",
     )
     verified_fix_sigma_m: Positive = _sets(
         "verification.fix_sigma_m",
-        "largest true σ, in any direction, of a fix that is verified or vouches for others",
+        "largest true σ, in any direction, of a fix that is verified or verifies others",
     )
     continuity_fixes: int = _sets(
         "verification.continuity_fixes",
-        "fixes the height must have confirmed before their integers carry others",
+        "fixes confirmed by height before continuity of their integers verifies others",
         ge=1,
     )
-    continuity_s: Positive = _sets(
-        "verification.continuity_s", "longest time that they carry since the last of them"
-    )
+    continuity_s: Positive = _sets("verification.continuity_s", "longest time since the last of these fixes")
     scan_sigma_m: Positive = _sets("verification.scan_sigma_m", "largest σ of a scan match that verifies")
     phase_ambiguities: int = _sets(
         "verification.phase_ambiguities",
@@ -184,47 +193,52 @@ class IntegritySettings(ServiceSettings):
     )
     re_estimation: Literal["agreement", "one_by_one", "off"] = _sets(
         "re_estimation.method",
-        "other estimates of a wrong fix: what they agree on, or one after the other as in the document",
+        "re-estimation of a wrong fix: by agreement of candidates, or one by one as in JP7707657B2",
     )
-    most_trials: int = _sets("re_estimation.most_trials", "other estimates of one fix at most", ge=1, le=1000)
+    most_trials: int = _sets(
+        "re_estimation.most_trials", "largest number of candidates for one fix", ge=1, le=1000
+    )
     re_estimate_unresolved: bool = _sets(
-        "re_estimation.unresolved", "of epochs too whose integers could not be resolved with all satellites"
+        "re_estimation.unresolved",
+        "re-estimate epochs too whose ambiguities were not resolved with all satellites",
     )
     agreement_m: Positive = _sets(
         "re_estimation.agreement.distance_m",
-        "estimates that agree are not further than this from one another",
+        "largest distance between candidates that agree",
     )
     agreement_success: tuple[float, ...] = _sets(
         "re_estimation.agreement.success",
-        "success rate that the surest of one, two, three… agreeing estimates must have",
+        "least success rate of the best of one, two, three… agreeing candidates",
         min_length=1,
     )
     agreement_ambiguities: int = _sets(
         "re_estimation.agreement.least_ambiguities",
-        "ambiguities that the estimate must have fixed on which others agree",
+        "least number of ambiguities fixed by the candidate on which others agree",
         ge=3,
     )
     link_delay_s: float = Field(
         0.0,
         ge=0.0,
         le=2.0,
-        description="longest time that inputs take to a judge in the cloud; it judges so much later",
+        description="longest delay of inputs to a judge in the cloud; each epoch is judged later by it",
     )
     upload: bool = Field(True, description="send judged fixes to the fleet's server; needs state_dir")
     upload_every_s: float = Field(
-        5.0, gt=0.0, le=600.0, description="one batch of uploads for each such stretch of GPS time"
+        5.0, gt=0.0, le=600.0, description="GPS time covered by one batch of uploads"
     )
-    outbox_limit_mb: float = Field(256.0, ge=1.0, description="disk the waiting uploads may take")
+    outbox_limit_mb: float = Field(256.0, ge=1.0, description="largest disk space of waiting uploads")
     changed_road_prior: Probability = _sets(
-        "levels.changed_road_prior", "the road under a pose has changed since its survey"
+        "levels.changed_road_prior", "probability that the road under a pose has changed since its survey"
     )
-    changed_road_sigma_m: Positive = _sets("levels.changed_road_sigma_m", "σ by which its height is then off")
+    changed_road_sigma_m: Positive = _sets(
+        "levels.changed_road_sigma_m", "σ of the height change of such a road"
+    )
     wrong_fix_prior_of_few: tuple[tuple[int, Share], ...] = _sets(
         "levels.wrong_fix.of_few",
-        "at least that, with up to so many satellites; not known how many: with the fewest",
+        "least wrong_fix_prior with up to so many satellites; an unknown number counts as the fewest",
     )
     disputed_pose_prior: Probability = _sets(
-        "levels.disputed_pose_prior", "a pose that a fix with the road's height contradicts is wrong"
+        "levels.disputed_pose_prior", "probability that a pose contradicted by a fix at road height is wrong"
     )
 
     @model_validator(mode="after")
@@ -247,11 +261,10 @@ class IntegritySettings(ServiceSettings):
 
 
 def _changed(parameters: P, changes: dict[str, Any]) -> P:
-    """A copy of nested parameter sets with changes, which are nested as they are."""
-    return replace(
-        parameters,
-        **{
-            name: _changed(getattr(parameters, name), value) if isinstance(value, dict) else value
-            for name, value in changes.items()
-        },
-    )
+    """A copy of nested parameter sets (dataclasses) with changes, which are nested in the same way."""
+    values = {
+        name: _changed(getattr(parameters, name), value) if isinstance(value, dict) else value
+        for name, value in changes.items()
+    }
+    result: P = replace(cast(Any, parameters), **values)
+    return result
