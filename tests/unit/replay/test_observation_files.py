@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import random
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from camber.formats.rtcm.writer import format_observations, format_reference_sta
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.geodesy.gps_time import NS_PER_WEEK
 from camber.replay.observation_files import read_observation_file, read_raw_file
-from support.gnss_files import observation_text
+from support.gnss_files import observation_text, recording
 from support.random_observations import COMMON, random_epoch
 
 START_NS = 2410 * NS_PER_WEEK + 259_200_000_000_000
@@ -205,9 +204,7 @@ def test_damage_raises_nothing_but_format_errors_and_loses_no_byte(tmp_path: Pat
     ],
 )
 def test_recordings_are_cut_into_their_epochs(name: str, count: int) -> None:
-    if not os.environ.get("CAMBER_DATA"):
-        pytest.skip("CAMBER_DATA is not set: no recording")
-    path = Path(os.environ["CAMBER_DATA"]) / name
+    path = recording(name)
     _, header, parts = read_observation_file(path, None)
     assert header + b"".join(part.payload for part in parts) == path.read_bytes()
     assert len(parts) == count
@@ -216,9 +213,7 @@ def test_recordings_are_cut_into_their_epochs(name: str, count: int) -> None:
 
 
 def test_a_receivers_log_is_cut_at_its_measurements() -> None:
-    if not os.environ.get("CAMBER_DATA"):
-        pytest.skip("CAMBER_DATA is not set: no recording")
-    path = Path(os.environ["CAMBER_DATA"]) / "receiver-logs" / "ubx-pygpsdata-RXMRAWX.log"
+    path = recording("receiver-logs") / "ubx-pygpsdata-RXMRAWX.log"
     _, _, parts = read_observation_file(path, None)
     data = path.read_bytes()
     assert b"".join(part.payload for part in parts) == data

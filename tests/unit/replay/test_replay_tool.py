@@ -1,13 +1,9 @@
-"""The replay tool: what it makes of a drive for the services, how it ends, and how it looks after processes."""
+"""The replay tool: what it makes of a drive for the services, and how it ends."""
 
 from __future__ import annotations
 
 import importlib
 import math
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any, get_args
 
@@ -37,7 +33,6 @@ from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.tools import demo
 
 NS = 1_300_000_000 * 1_000_000_000
-PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope="module")
@@ -188,46 +183,6 @@ class Ended:
         return 3
 
 
-def sleeper(*, deaf: bool = False) -> subprocess.Popen[bytes]:
-    """A process that sleeps; a deaf one ignores SIGTERM. It prints when it is ready."""
-    code = "import signal, time; "
-    code += (
-        "signal.signal(signal.SIGTERM, signal.SIG_IGN); " * deaf
-        + "print('ready', flush=True); time.sleep(600)"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    assert process.stdout.readline() == b"ready\n"
-    process.stdout.close()
-    return process
-
-
-def test_a_process_that_ends_unasked_is_started_again_and_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    spawned: list[subprocess.Popen[bytes]] = []
-
-    def spawn(self: Processes, name: str) -> subprocess.Popen[bytes]:
-        spawned.append(sleeper())
-        return spawned[-1]
-
-    monkeypatch.setattr(Processes, "_spawn", spawn)
-    processes = Processes(tmp_path, {"gnss": {}, "localizer": {}})
-    processes.start()
-    try:
-        processes.restart_ended()
-        assert processes.notes == []
-        spawned[0].send_signal(signal.SIGKILL)
-        spawned[0].wait(PATIENCE_S)
-        processes.restart_ended()
-        assert processes.notes == ["gnss ended (signal SIGKILL) and was started again"]
-        assert str(spawned[2].pid) in (tmp_path / "processes.json").read_text()
-        assert spawned[2].poll() is None
-    finally:
-        processes.stop()
-    assert all(process.poll() is not None for process in spawned)
-
-
 def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -237,36 +192,3 @@ def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     for _ in range(50):
         processes.restart_ended()
     assert processes.notes == ["gnss ended (exit code 3) and was started again"] * 20
-
-
-def test_a_process_that_ignores_sigterm_is_killed_and_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    spawned: list[subprocess.Popen[bytes]] = []
-
-    def spawn(self: Processes, name: str) -> subprocess.Popen[bytes]:
-        spawned.append(sleeper(deaf=name == "deaf"))
-        return spawned[-1]
-
-    monkeypatch.setattr(Processes, "_spawn", spawn)
-    processes = Processes(tmp_path, {"deaf": {}, "good": {}})
-    processes.start()
-    processes.stop(timeout_s=1.0)
-    assert [process.returncode for process in spawned] == [-signal.SIGKILL, -signal.SIGTERM]
-    assert processes.notes == ["deaf did not end within 1 s and was killed"]
-
-
-def test_a_service_sees_its_settings_and_nothing_of_the_operators_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CAMBER_ANTENNA_HEIGHT_NONSENSE", "1")
-    processes = Processes(tmp_path, {"antenna_height": {"check": True}})  # a setting that does not exist
-    processes.start()
-    log = tmp_path / "logs" / "antenna_height.log"
-    deadline = time.monotonic() + PATIENCE_S
-    while not log.read_text().endswith("\n"):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    processes.stop()
-    path = tmp_path / "config" / "antenna_height.toml"
-    assert log.read_text() == f"camber antenna_height: {path}: check: unknown setting\n"

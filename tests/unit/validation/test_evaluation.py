@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,18 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.recording import Recorded
-from camber.geodesy.gps_time import gps_ns_from_week_tow
+from camber.formats.drive.truth_csv import read_truth
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.run_folder import DriveFacts, RunFacts
 from camber.schemas.antenna import AntennaHeight
+from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
 from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.reference_trajectory import ReferenceTrajectory
-from support.gnss_files import read_pos
+from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of, truth_of
+from support.gnss_files import read_pos, recording
 
 START_NS = 1_373_000_000_000_000_000
 STEP_NS = 200_000_000
@@ -304,28 +304,21 @@ def test_a_drive_without_motion_takes_its_epochs_from_the_positions() -> None:
 
 
 def nagoya() -> Evaluation:
-    data = os.environ.get("CAMBER_DATA")
-    if not data:
-        pytest.skip("CAMBER_DATA is not set")
-    folder = Path(data) / "nagoya-2023-07-11"
-    table = np.loadtxt(folder / "reference.csv", delimiter=",", skiprows=1, usecols=range(5))
-    times = [gps_ns_from_week_tow(int(week), round(tow * 10) * 10**8) for tow, week in table[:, :2]]
-    reference = ReferenceTrajectory(
-        time_ns=np.array(times, dtype=np.int64),
-        latitude_rad=np.radians(table[:, 2]),
-        longitude_rad=np.radians(table[:, 3]),
-        height_m=table[:, 4].copy(),
-    )
+    recording("nagoya-2023-07-11")
+    manifest = load_manifest(Path(__file__).parents[2] / "replay" / "nagoya.toml")
+    assert manifest.truth is not None
+    assert manifest.receiver is not None
+    reference = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
     fixes = [
         Fix(
             time_ns=solution.time_ns, fix_id=i, origin="receiver", quality="fixed",
             latitude_rad=solution.latitude_rad, longitude_rad=solution.longitude_rad,
             height_m=solution.height_m, covariance_enu_m2=None,
         )
-        for i, solution in enumerate(read_pos(folder / "rover_rtk.pos"))
+        for i, solution in enumerate(read_pos(manifest.receiver.file))
         if not isinstance(solution, ValueError) and int(solution.quality) == 1
     ]  # fmt: skip
-    offset = DriveFacts(drive="nagoya", truth=True, offset_enu_m=(0.055, -0.008, -0.045))
+    offset = DriveFacts(drive="nagoya", truth=True, offset_enu_m=offset_of(manifest))
     return evaluate({"fix": [wrap(message) for message in fixes]}, offset, RunFacts(), reference)
 
 
@@ -338,6 +331,8 @@ def test_nagoya_has_114_wrong_fixes_in_30_episodes() -> None:
     ratio_only = s["controls"]["ratio_test_only"]
     assert (ratio_only["confirmed"]["wrong"], ratio_only["episodes"]["missed"]) == (114, 30)
     assert sum(len(episode.fixes) for episode in evaluation.episodes) == 114
+    error_m = evaluation.tentative_error_enu_m[evaluation.fix_rows[~evaluation.fixes.wrong]]
+    np.testing.assert_allclose(np.median(error_m, axis=0), 0.0, atol=0.01)
 
 
 def test_levels_are_counted_by_source_with_their_tightness() -> None:

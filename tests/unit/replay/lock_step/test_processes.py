@@ -84,7 +84,9 @@ def test_a_service_with_wrong_settings_says_so_and_is_not_tried_again(tmp_path):
     processes = Processes(tmp_path, {"map_update": config(tmp_path, colour="red")})
     processes.start()
     log = tmp_path / "logs" / "map_update.log"
-    wait_for(lambda: "colour: unknown setting" in log.read_text())
+    wait_for(lambda: log.read_text().endswith("\n"))
+    path = tmp_path / "config" / "map_update.toml"
+    assert log.read_text() == f"camber map_update: {path}: colour: unknown setting\n"
     with pytest.raises(ManifestError, match="colour: unknown setting"):
         wait_for(processes.raise_refused_settings)
     (pid,) = pids(tmp_path).values()
