@@ -34,6 +34,12 @@ def open_peer(*, connect: str | None = None, listen: str = "tcp/127.0.0.1:0") ->
     return zenoh.open(config)
 
 
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
 def pass_on(session: zenoh.Session, take: str, give: str, size: int) -> None:
     publisher = session.declare_publisher(give, express=True)
     subscriber = session.declare_subscriber(take)
@@ -77,9 +83,7 @@ def role(name: str, endpoint: str, sizes: Mapping[str, int]) -> None:
 @contextmanager
 def processes(names: list[str], sizes: Mapping[str, int]) -> Iterator[zenoh.Session]:
     """The session of the observer, with the named roles beside it."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     with ExitStack() as ends:
         session = open_peer(listen=endpoint)
         ends.callback(session.close)
@@ -109,8 +113,8 @@ def latencies_ms(sizes: Mapping[str, int], *, rate_hz: float, stop: threading.Ev
         for subscriber in subscribers:
             subscriber.undeclare()
     pairs = [(arrived["bare/fix"].get(n), t) for n, t in sorted(arrived["bare/verdict"].items())]
-    found = [1e3 * (verdict - fix) for fix, verdict in pairs if fix is not None]
-    return found[round(2 * rate_hz) :]  # the first seconds: connections are still being made
+    latency_ms = [1e3 * (verdict - fix) for fix, verdict in pairs if fix is not None]
+    return latency_ms[round(2 * rate_hz) :]  # the first seconds: connections are still being made
 
 
 def lock_step_per_s(size: int, *, seconds: float) -> float:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Any
 import bare_zenoh
 import msgpack
 import numpy as np
-from figure import Figure, higher, lower, per_call_us
+from figure import Figure, camber, higher, lower, per_call_us
 
 from camber.formats.drive.recording import load_recording
 from camber.replay.short_drive import RATE_HZ, write_short_drive
@@ -30,19 +28,7 @@ GOAL_TIMES_BARE = 5.0
 
 
 def replay(drive: Path, out: Path, *options: str) -> dict[str, Any]:
-    command = [
-        sys.executable,
-        "-m",
-        "camber.cli",
-        "replay",
-        str(drive),
-        "--processes",
-        "--out",
-        str(out),
-        "--quiet",
-        *options,
-    ]
-    subprocess.run(command, check=True, stdin=subprocess.DEVNULL, timeout=150.0)
+    camber("replay", drive, "--processes", "--out", out, "--quiet", *options, timeout_s=150.0)
     summary: dict[str, Any] = json.loads((out / "summary.json").read_text())
     return summary
 
@@ -81,10 +67,10 @@ def lock_step(drive: Path, out: Path) -> tuple[list[Figure], dict[str, int]]:
 
 def latency(drive: Path, out: Path, sizes: dict[str, int], what: str) -> list[Figure]:
     """Both at the same time, so that both meet the same load."""
-    found: list[float] = []
+    bare_ms: list[float] = []
     stop = threading.Event()
     bare = threading.Thread(
-        target=lambda: found.extend(bare_zenoh.latencies_ms(sizes, rate_hz=RATE_HZ, stop=stop)), daemon=True
+        target=lambda: bare_ms.extend(bare_zenoh.latencies_ms(sizes, rate_hz=RATE_HZ, stop=stop)), daemon=True
     )
     bare.start()
     try:
@@ -95,16 +81,13 @@ def latency(drive: Path, out: Path, sizes: dict[str, int], what: str) -> list[Fi
     peer = "bare Zenoh: messages of the same size over the same hops at the same time"
     return [
         lower(
-            f"fix received to verdict received, {name}, {what}",
+            f"fix received to verdict received, p{q}, {what}",
             "ms",
-            summary["latency_ms"][name],
-            value,
+            summary["latency_ms"][f"p{q}"],
+            float(np.percentile(bare_ms, q)),
             peer,
         )
-        for name, value in (
-            ("p50", float(np.percentile(found, 50))),
-            ("p99", float(np.percentile(found, 99))),
-        )
+        for q in (50, 99)
     ]
 
 

@@ -6,18 +6,17 @@ from __future__ import annotations
 
 import math
 import os
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import bare_zenoh
 import numpy as np
-from figure import Figure, higher, lower, per_call_us
+from figure import Figure, higher, least_s, lower, per_call_us, percentiles
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
@@ -103,8 +102,8 @@ class City:
     @staticmethod
     def plane_m(street: Integers, along_m: Floats, left_m: Floats) -> tuple[Floats, Floats]:
         """East and north of places on streets."""
-        above, beside_m = street >= STREETS, street % STREETS * APART_M
-        return np.where(above, beside_m - left_m, along_m), np.where(above, along_m, beside_m + left_m)
+        above, offset_m = street >= STREETS, street % STREETS * APART_M
+        return np.where(above, offset_m - left_m, along_m), np.where(above, along_m, offset_m + left_m)
 
     @staticmethod
     def geodetic(east_m: Floats, north_m: Floats) -> tuple[Floats, Floats, Floats]:
@@ -113,9 +112,9 @@ class City:
     def drives(self, count: int) -> Drives:
         """Poses along all streets one after the other, each with its link, the one ahead and its last surface."""
         rng = np.random.default_rng(SEED + 1)
-        way_m = np.sort(rng.uniform(0.0, 2 * STREETS * SURFACES * LENGTH_M, count))
-        row = (way_m // LENGTH_M).astype(np.int64)
-        street, along_m = row // SURFACES, way_m % (SURFACES * LENGTH_M)
+        driven_m = np.sort(rng.uniform(0.0, 2 * STREETS * SURFACES * LENGTH_M, count))
+        row = (driven_m // LENGTH_M).astype(np.int64)
+        street, along_m = row // SURFACES, driven_m % (SURFACES * LENGTH_M)
         left_m = rng.uniform(-0.3, 0.3, count) * WIDTH_M
         return Drives(self, row, *self.plane_m(street, along_m, left_m))
 
@@ -136,19 +135,14 @@ class Drives:
         order = np.random.default_rng(SEED + 2).permutation(len(self.row))
         return Drives(self.city, self.row[order], self.east_m[order], self.north_m[order])
 
+    def rows(self) -> list[tuple[float, float, list[int], int]]:
+        """Latitude, longitude, links and last surface of each pose."""
+        columns = (self.latitude_rad, self.longitude_rad, self.link_ids, self.last_surface_id)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
+
     def on_ground(self, count: int) -> Drives:
         rows = np.flatnonzero(~self.city.above[self.row])[:count]
         return Drives(self.city, self.row[rows], self.east_m[rows], self.north_m[rows])
-
-
-def cpu_s(call: Callable[[], object], *, rounds: int = 5) -> float:
-    """Processor time of a call on one core, the least of some rounds."""
-    took = []
-    for _ in range(rounds):
-        began = time.process_time()
-        call()
-        took.append(time.process_time() - began)
-    return min(took)
 
 
 def write_raster(path: Path) -> None:
@@ -209,21 +203,21 @@ def batches(city: City, folder: Path) -> list[Figure]:
             def sampled(places: list[tuple[float, float]] = places) -> Floats:
                 return np.array(list(raster.sample(places)))[:, 0]
 
-            found = by_pose()
+            roads_by_pose = by_pose()
             truth_m = ground_m(drives.east_m, drives.north_m) + CLEARANCE_M * city.above[drives.row]
-            assert len(found.known) == len(drives.row)
-            assert (found.level == city.above[drives.row]).all()
-            assert np.abs(found.elevation_m - truth_m).max() < 0.01
+            assert len(roads_by_pose.known) == len(drives.row)
+            assert (roads_by_pose.level == city.above[drives.row]).all()
+            assert np.abs(roads_by_pose.elevation_m - truth_m).max() < 0.01
             assert np.abs(by_id()[0] - truth_m).max() < 0.01
             assert np.abs(sampled() - ground_m(on_ground.east_m, on_ground.north_m)).max() < 0.01
             assert set(np.unique(alike().reason)) == {0, 2}  # known, and ambiguous where streets cross
-            peer_per_s = SAMPLED / cpu_s(sampled, rounds=3)
+            peer_per_s = SAMPLED / least_s(sampled, rounds=3)
             for name, call, goal in (
                 ("by pose, links and last surface", by_pose, GOAL_PER_S),
                 ("by pose, without topology", alike, GOAL_PER_S),
                 ("by surface id", by_id, GOAL_BY_ID_PER_S),
             ):
-                per_s = POINTS / cpu_s(call)
+                per_s = POINTS / least_s(call)
                 peer = f"rasterio.sample of {SAMPLED:,} of these points, ground alone; goal {GOAL_TIMES_RASTER:g}"
                 what = f"elevation {name}, {len(city.surface_id):,} surfaces, {order}"
                 figures.append(higher(what, "/s", per_s, peer_per_s, peer))
@@ -234,9 +228,7 @@ def batches(city: City, folder: Path) -> list[Figure]:
 @contextmanager
 def served(folder: Path) -> Iterator[bare_zenoh.zenoh.Session]:
     """A session with a map server beside it."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = bare_zenoh.free_endpoint()
     config = folder.parent / "map_server.toml"
     config.write_text(f'release = "{folder}"\n[zenoh]\nconnect = ["{endpoint}"]\n')
     environment = {name: text for name, text in os.environ.items() if not name.startswith("CAMBER_")}
@@ -263,13 +255,7 @@ def over_the_bus(city: City, folder: Path) -> list[Figure]:
         ElevationRequest(
             time_ns=MADE_NS, latitude_rad=a, longitude_rad=b, link_ids=tuple(links), last_surface_id=last
         )
-        for a, b, links, last in zip(
-            drives.latitude_rad.tolist(),
-            drives.longitude_rad.tolist(),
-            drives.link_ids.tolist(),
-            drives.last_surface_id.tolist(),
-            strict=True,
-        )
+        for a, b, links, last in drives.rows()
     ]
     channel = BY_NAME["elevation"]
     key = channel.key_for("vehicle").replace("{service}", "localizer")
@@ -292,7 +278,7 @@ def over_the_bus(city: City, folder: Path) -> list[Figure]:
                 raise RuntimeError(f"the map server does not answer: {first}")
             time.sleep(0.2)
         sizes = {"question": len(encode(requests[0], source="localizer")), "answer": first[1]}
-        took: dict[str, list[float]] = {"ours": [], "bare": []}
+        spent: dict[str, list[float]] = {"ours": [], "bare": []}
         with bare_zenoh.processes(["map_server"], sizes) as session:
             bare = session.declare_querier(
                 "bare/elevation", express=True, priority=bare_zenoh.zenoh.Priority.INTERACTIVE_HIGH
@@ -305,33 +291,18 @@ def over_the_bus(city: City, folder: Path) -> list[Figure]:
                 between = time.perf_counter()
                 for _ in bare.get(payload=b"\0" * sizes["question"]):
                     pass
-                took["bare"].append(time.perf_counter() - between)
-                took["ours"].append(between - began)
+                spent["bare"].append(time.perf_counter() - between)
+                spent["ours"].append(between - began)
                 assert reply is not None
                 assert reply[0].road.status == "known"
-    return [
-        lower(
-            f"elevation, one question over the bus, p{share}",
-            "ms",
-            1e3 * float(np.percentile(took["ours"], share)),
-            1e3 * float(np.percentile(took["bare"], share)),
-            f"bare Zenoh query of the same sizes by turns, n = {QUERIES}; goal {1.0 / GOAL_TIMES_BARE:g}",
-        )
-        for share in (50, 99)
-    ]
+    peer = f"bare Zenoh query of the same sizes by turns, n = {QUERIES}; goal {1.0 / GOAL_TIMES_BARE:g}"
+    ours_ms, bare_ms = ([1e3 * s for s in spent[name]] for name in ("ours", "bare"))
+    return percentiles("elevation, one question over the bus", "ms", ours_ms, bare_ms, peer)
 
 
 def single(city: City, folder: Path) -> list[Figure]:
     roads, drives = map_of(folder), city.drives(100)
-    points = list(
-        zip(
-            drives.latitude_rad.tolist(),
-            drives.longitude_rad.tolist(),
-            drives.link_ids.tolist(),
-            drives.last_surface_id.tolist(),
-            strict=True,
-        )
-    )
+    points = drives.rows()
     grid = RegularGridInterpolator((np.arange(400.0), np.arange(400.0)), np.zeros((400, 400)))
     figures = []
     for name, radius_m in (("", 0.0), (", with the road 5 m around it", 5.0)):

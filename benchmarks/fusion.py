@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from figure import Figure, higher
+from figure import Figure, higher, least_s
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
@@ -90,7 +90,7 @@ def figures() -> list[Figure]:
         estimate_heights(begins, votes, known=biases.known, vote_sigma_m=biases.components.vote_m)
 
     ours_m = locations_m(value_m, ones, begins, VOTE_M)
-    took = min(_cpu_s(lambda: locations_m(value_m, ones, begins, VOTE_M)) for _ in range(5))
+    ours_s = least_s(lambda: locations_m(value_m, ones, begins, VOTE_M))
     some = np.arange(0, SURFACES, 8)
     began = time.process_time()
     peer_m = [plain_biweight(value_m[begins[i] : begins[i + 1]]) for i in some]
@@ -98,12 +98,12 @@ def figures() -> list[Figure]:
     np.testing.assert_allclose(ours_m[some], peer_m, atol=1e-5)
     votes_of_peer = int((begins[some + 1] - begins[some]).sum())
     whole()
-    batch_s = min(_cpu_s(whole) for _ in range(3))
+    batch_s = least_s(whole, rounds=3)
     return [
         higher(
             "robust heights of surfaces",
             "votes/s",
-            len(voter) / took,
+            len(voter) / ours_s,
             votes_of_peer / peer_s,
             "numpy, one surface at a time, the same heights",
         ),
@@ -115,10 +115,3 @@ def figures() -> list[Figure]:
             "the goal",
         ),
     ]
-
-
-def _cpu_s(call: object) -> float:
-    assert callable(call)
-    began = time.process_time()
-    call()
-    return time.process_time() - began

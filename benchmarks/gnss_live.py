@@ -12,10 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-from figure import Figure, lower
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from figure import Figure, percentiles
 
 from camber.runtime.subscription import Subscription
 from support.live_satellites import LiveDrive, caster, live_gnss, serving
@@ -38,7 +35,7 @@ def latencies_ms(folder: Path) -> tuple[list[float], int]:
         live_gnss(folder, rover, port) as gnss,
         Subscription("fix", vehicle="car", connect=[gnss.endpoint]) as listener,
     ):
-        found: list[float] = []
+        latency_ms: list[float] = []
         fixed = 0
         began = time.monotonic()
         while time.monotonic() - began < WARM_S + MEASURED_S:
@@ -46,28 +43,23 @@ def latencies_ms(folder: Path) -> tuple[list[float], int]:
             now_ns = time.monotonic_ns()
             if fix is None or time.monotonic() - began < WARM_S:
                 continue
-            found.append((now_ns - rover.sent_ns[fix.time_ns]) / 1e6)
+            latency_ms.append((now_ns - rover.sent_ns[fix.time_ns]) / 1e6)
             fixed += fix.quality == "fixed"
         print(f"health: {gnss.health().counters} {gnss.issues()}", file=sys.stderr)
-        return found, fixed
+        return latency_ms, fixed
 
 
 def figures() -> list[Figure]:
     """p50 and p99; the load of the machine goes to the standard error."""
     with tempfile.TemporaryDirectory() as folder:
         before = os.getloadavg()[0]
-        found, fixed = latencies_ms(Path(folder))
+        latency_ms, fixed = latencies_ms(Path(folder))
     print(
-        f"gnss_live: {len(found)} epochs, {fixed} fixed, load {before:.1f} to {os.getloadavg()[0]:.1f}, "
-        f"most {max(found):.1f} ms",
+        f"gnss_live: {len(latency_ms)} epochs, {fixed} fixed, load {before:.1f} to {os.getloadavg()[0]:.1f}, "
+        f"most {max(latency_ms):.1f} ms",
         file=sys.stderr,
     )
-    return [
-        lower(
-            f"live chain, last byte to fix, p{q}", "ms", float(np.percentile(found, q)), GOAL_MS, "goal, p99"
-        )
-        for q in (50, 99)
-    ]
+    return percentiles("live chain, last byte to fix", "ms", latency_ms, GOAL_MS, "goal, p99")
 
 
 if __name__ == "__main__":

@@ -18,12 +18,12 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from figure import Figure, higher
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.stores.sqlite_store import SqliteStore
@@ -60,10 +60,19 @@ def groups(first: int) -> list[list[Contribution]]:
     ]
 
 
-def seconds(work: Callable[[], None]) -> float:
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+def work_of(
+    prepare: Callable[[list[Contribution]], Any], send: Callable[[Any], object]
+) -> Callable[[int], float]:
+    """Given the number of its round, sends all groups, prepared before, and returns its seconds."""
+
+    def work(k: int) -> float:
+        prepared = [prepare(group) for group in groups(k)]
+        began = time.perf_counter()
+        for group in prepared:
+            send(group)
+        return time.perf_counter() - began
+
+    return work
 
 
 def in_turn(*works: Callable[[int], float]) -> list[float]:
@@ -73,16 +82,14 @@ def in_turn(*works: Callable[[int], float]) -> list[float]:
 
 
 def storing(store: Store) -> Callable[[int], float]:
-    def work(k: int) -> float:
-        prepared = groups(k)
+    def commit(group: list[Contribution]) -> None:
+        assert all(o.status == "stored" for o in store.commit(group, NOW_NS, take_all))
 
-        def commit() -> None:
-            for group in prepared:
-                assert all(o.status == "stored" for o in store.commit(group, NOW_NS, take_all))
+    return work_of(list, commit)
 
-        return seconds(commit)
 
-    return work
+def rows_of(group: list[Contribution]) -> np.ndarray:
+    return np.concatenate([contribution.observations for contribution in group])
 
 
 def sqlite_figures(folder: Path) -> list[Figure]:
@@ -92,19 +99,13 @@ def sqlite_figures(folder: Path) -> list[Figure]:
     types = (f"{name} {'REAL' if OBSERVATION[name].kind == 'f' else 'INTEGER'} NOT NULL" for name in _COLUMNS)
     db.execute(f"CREATE TABLE observation ({', '.join(types)})")
 
-    def raw(k: int) -> float:
-        prepared = [np.concatenate([c.observations for c in group]).tolist() for group in groups(k)]
-
-        def insert() -> None:
-            for rows in prepared:
-                db.execute("BEGIN IMMEDIATE")
-                db.executemany(f"INSERT INTO observation VALUES (?{', ?' * (len(_COLUMNS) - 1)})", rows)
-                db.execute("COMMIT")
-
-        return seconds(insert)
+    def insert(rows: list[Any]) -> None:
+        db.execute("BEGIN IMMEDIATE")
+        db.executemany(f"INSERT INTO observation VALUES (?{', ?' * (len(_COLUMNS) - 1)})", rows)
+        db.execute("COMMIT")
 
     with closing(SqliteStore(folder / "uploads.sqlite")) as store, closing(db):
-        ours, peer = in_turn(storing(store), raw)
+        ours, peer = in_turn(storing(store), work_of(lambda group: rows_of(group).tolist(), insert))
     name = "executemany of the same rows into a plain table, as durable"
     return [higher("uploads into SQLite with their ledger", "records/s", ours, peer, name)]
 
@@ -143,36 +144,24 @@ def postgres_figures(server: PostgresServer) -> list[Figure]:
     )
     loop.run_until_complete(db.execute("ALTER TABLE as_stored ALTER rows SET STORAGE EXTERNAL"))
 
-    def made_before(k: int) -> float:
-        prepared = [binary_copy(np.concatenate([c.observations for c in group])) for group in groups(k)]
+    def copy(table: str, records: list[Any]) -> None:
+        loop.run_until_complete(db.copy_records_to_table(table, records=records))
 
-        def copy() -> None:
-            for data in prepared:
-                loop.run_until_complete(db.copy_to_table("made_before", source=data, format="binary"))
+    def copy_binary(data: memoryview) -> None:
+        loop.run_until_complete(db.copy_to_table("made_before", source=data, format="binary"))
 
-        return seconds(copy)
+    def copy_by_driver(group: list[Contribution]) -> None:
+        copy("by_driver", [(n, *row) for n, c in enumerate(group) for row in c.observations.tolist()])
 
-    def by_driver(k: int) -> float:
-        prepared = groups(k)
-
-        def copy() -> None:
-            for group in prepared:
-                records = [(n, *row) for n, c in enumerate(group) for row in c.observations.tolist()]
-                loop.run_until_complete(db.copy_records_to_table("by_driver", records=records))
-
-        return seconds(copy)
-
-    def as_stored(k: int) -> float:
-        prepared = [[(n, c.observations.tobytes()) for n, c in enumerate(group)] for group in groups(k)]
-
-        def copy() -> None:
-            for records in prepared:
-                loop.run_until_complete(db.copy_records_to_table("as_stored", records=records))
-
-        return seconds(copy)
-
+    peers_of_store = (
+        work_of(lambda group: binary_copy(rows_of(group)), copy_binary),
+        work_of(list, copy_by_driver),
+        work_of(
+            lambda g: [(n, c.observations.tobytes()) for n, c in enumerate(g)], partial(copy, "as_stored")
+        ),
+    )
     with closing(PostgresStore(server.new_database(), limit_s=30.0)) as store:
-        ours, *peers = in_turn(storing(store), made_before, by_driver, as_stored)
+        ours, *peers = in_turn(storing(store), *peers_of_store)
     loop.run_until_complete(db.close())
     loop.close()
     names = (
@@ -196,14 +185,14 @@ def workers(
     if nats is None:
         tables["all"] = f'vehicle = "fleet"\nstore = "{postgres.new_database()}"\nanswer_s = 5.0\n{router}'
     else:
-        own = f'queue = "{nats.address}"\nshards = {json.dumps(shards)}\nanswer_s = 5.0\n'
-        tables["receive"] = f'vehicle = "receive"\nrole = "receive"\n{own}{router}'
+        queue = f'queue = "{nats.address}"\nshards = {json.dumps(shards)}\nanswer_s = 5.0\n'
+        tables["receive"] = f'vehicle = "receive"\nrole = "receive"\n{queue}{router}'
         for shard in shards:
             address = postgres.new_database()
             for n in range(each):
                 name = f"store{shard}_{n}"
                 tables[name] = (
-                    f'vehicle = "{name}"\nrole = "store"\nshard = "{shard}"\nstore = "{address}"\n{own}{client}'
+                    f'vehicle = "{name}"\nrole = "store"\nshard = "{shard}"\nstore = "{address}"\n{queue}{client}'
                 )
     with ExitStack() as ends:
         for name, table in tables.items():
@@ -273,17 +262,17 @@ def end_to_end(folder: Path, postgres: PostgresServer, copy_rate: float) -> list
                 )
     peer = "binary COPY alone of rows encoded before, as above"
     return [
-        higher(f"{name}: committed and acknowledged", "records/s", found, copy_rate, peer)
-        for name, found in rates.items()
+        higher(f"{name}: committed and acknowledged", "records/s", rate, copy_rate, peer)
+        for name, rate in rates.items()
     ]
 
 
 def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found = sqlite_figures(folder)
+        figures = sqlite_figures(folder)
         if POSTGRES:
             with running(PostgresServer()) as server:
                 copies = postgres_figures(server)
-                found += [*copies, *end_to_end(folder, server, copies[0].peer)]
-    return found
+                figures += [*copies, *end_to_end(folder, server, copies[0].peer)]
+    return figures

@@ -1,24 +1,20 @@
 """The judge on a canyon: its CPU an epoch, from bytes to bytes, and how long after the fix its verdict is there.
 
-CPU: one process, the drive's own messages as `integrity` hears them, without other estimates; beside it what it takes
-only to decode and encode the same messages. Latency: all processes of a replay at 10 Hz with the engine's positions,
-of which many ask for 20 other estimates; the peer is the goal, as there is no other judge to measure beside it.
+CPU: one process, the drive's own messages as `integrity` receives them, without other estimates; beside it what it
+takes only to decode and encode the same messages. Latency: all processes of a replay at 10 Hz with the positions of the
+engine, of which many ask for 20 other estimates; the peer is the goal, as there is no other judge to measure beside it.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from figure import Figure, lower
+from figure import Figure, camber, least_s, lower, percentiles
 
 from camber.formats.drive.recording import load_recording
 from camber.integrity.service import IntegrityService
@@ -45,11 +41,11 @@ Wake = tuple[int, list[tuple[str, bytes]]]
 
 
 class _Bus:
-    """What `integrity` needs of a bus: it encodes what is said, everybody is there, nobody answers."""
+    """What `integrity` needs of a bus: it encodes what is published, everybody is there, nobody answers."""
 
     def __init__(self) -> None:
         self.now = 0
-        self.said: list[Message] = []
+        self.published: list[Message] = []
 
     def now_ns(self) -> int:
         return self.now
@@ -58,8 +54,8 @@ class _Bus:
         return True
 
     def publish(self, name: str, message: Message) -> None:
-        encode(message, source="integrity", sequence=len(self.said))
-        self.said.append(message)
+        encode(message, source="integrity", sequence=len(self.published))
+        self.published.append(message)
 
     def ask(self, name: str, request: Message) -> Message:
         raise QueryFailed("absent", "nobody answers")
@@ -71,15 +67,14 @@ class _Bus:
 
 def simulated(folder: Path) -> Path:
     """The canyon, made here."""
-    made = [sys.executable, "-m", "camber.cli", "simulate", "canyon", "--set", f"duration_s={DRIVE_S}"]
-    subprocess.run(
-        [*made, "--out", str(folder), "--quiet"], check=True, stdin=subprocess.DEVNULL, timeout=300.0
+    camber(
+        "simulate", "canyon", "--set", f"duration_s={DRIVE_S}", "--out", folder, "--quiet", timeout_s=300.0
     )
     return folder / "drive.toml"
 
 
-def heard_by_the_judge(drive: Path, folder: Path) -> list[Wake]:
-    """All that `integrity` hears of a drive, by wake, with its time: as bytes."""
+def messages_of_the_judge(drive: Path, folder: Path) -> list[Wake]:
+    """All that `integrity` receives of a drive, by wake, with its time: as bytes."""
     inputs = prepare_drive(load_manifest(drive), folder / "work")
     channels = [channel.name for channel in inputs_of("integrity")]
     recorded = replay_in_one_process(inputs, folder, channels=channels).recorded
@@ -96,7 +91,7 @@ def heard_by_the_judge(drive: Path, folder: Path) -> list[Wake]:
 
 
 def judge(wakes: list[Wake]) -> list[Message]:
-    """One drive through the judge; what it said."""
+    """One drive through the judge; what it published."""
     bus = _Bus()
     settings = IntegritySettings(vehicle="ego", clock="replay", upload=False)
     service = IntegrityService(settings, bus)  # type: ignore[arg-type]
@@ -111,40 +106,40 @@ def judge(wakes: list[Wake]) -> list[Message]:
             if message is not None:
                 handlers[name](message)
         service.advance(time_ns)
-    return bus.said
+    return bus.published
 
 
-def only_codec(wakes: list[Wake], said: list[Message]) -> None:
+def only_codec(wakes: list[Wake], published: list[Message]) -> None:
     """The same messages in and out, and nothing between."""
     for _, messages in wakes:
         for name, data in messages:
             decode(BY_NAME[name].message, data)
-    for sequence, message in enumerate(said):
+    for sequence, message in enumerate(published):
         encode(message, source="integrity", sequence=sequence)
 
 
-def cpu_s(work: Callable[[], Any]) -> float:
-    began = time.process_time()
-    work()
-    return time.process_time() - began
-
-
-def goal(what: str, at_most_ms: float, found_ms: float) -> str:
-    met = "met" if found_ms <= at_most_ms else "NOT met"
-    return f"goal: {what} at most {at_most_ms:g} ms: {met} with {found_ms:.2f} ms"
+def goal(what: str, at_most_ms: float, actual_ms: float) -> str:
+    met = "met" if actual_ms <= at_most_ms else "NOT met"
+    return f"goal: {what} at most {at_most_ms:g} ms: {met} with {actual_ms:.2f} ms"
 
 
 def cpu(drive: Path, folder: Path) -> Figure:
     """By turns, the least of the rounds of each."""
-    wakes = heard_by_the_judge(drive, folder)
-    said = judge(wakes)
+    wakes = messages_of_the_judge(drive, folder)
+    published = judge(wakes)
     epochs = sum(name == "fix" for _, messages in wakes for name, _ in messages)
-    words = Counter(getattr(message, "verdict", "position") for message in said)
-    print(f"judge: {epochs} epochs, {dict(words)}", file=sys.stderr)
+    verdicts = Counter(getattr(message, "verdict", "position") for message in published)
+    print(f"judge: {epochs} epochs, {dict(verdicts)}", file=sys.stderr)
     ours, peer = (
         1e3 * min(seconds) / epochs
         for seconds in zip(
-            *((cpu_s(lambda: judge(wakes)), cpu_s(lambda: only_codec(wakes, said))) for _ in range(ROUNDS)),
+            *(
+                (
+                    least_s(lambda: judge(wakes), rounds=1),
+                    least_s(lambda: only_codec(wakes, published), rounds=1),
+                )
+                for _ in range(ROUNDS)
+            ),
             strict=True,
         )
     )
@@ -165,20 +160,8 @@ def latencies_ms(rows: list[JudgedFix]) -> list[float]:
 
 def latency(drive: Path, out: Path) -> list[Figure]:
     """Of all verdicts, and of those after other estimates."""
-    command = [
-        sys.executable,
-        "-m",
-        "camber.cli",
-        "replay",
-        str(drive),
-        "--processes",
-        "--speed",
-        "1",
-        "--out",
-        str(out),
-    ]
     options = ["--set", "positions=engine", "--set", f"end_s={LIVE_S}", "--quiet"]
-    subprocess.run([*command, *options], check=True, stdin=subprocess.DEVNULL, timeout=LIVE_S + 240.0)
+    camber("replay", drive, "--processes", "--speed", 1, "--out", out, *options, timeout_s=LIVE_S + 240.0)
     messages, _ = load_recording(out / "recording.mcap")
     rows = pair_fixes_with_verdicts(messages["fix"], messages["verdict"])
     again = [row for row in rows if asked(row)]
@@ -189,20 +172,14 @@ def latency(drive: Path, out: Path) -> list[Figure]:
         f"other estimates, the last {max(latencies_ms(rows)):.1f} ms after its fix",
         file=sys.stderr,
     )
-    found = {"all": latencies_ms(rows), "after other estimates": latencies_ms(again)}
-    p99 = float(np.percentile(found["all"], 99))
+    by_kind = {"all": latencies_ms(rows), "after other estimates": latencies_ms(again)}
+    p99 = float(np.percentile(by_kind["all"], 99))
     print(goal("p99", GOAL_P99_MS, p99))
     return [
-        lower(
-            f"engine's fix to verdict, {name}, p{q}",
-            "ms",
-            float(np.percentile(of, q)),
-            GOAL_P99_MS,
-            "goal, p99",
-        )
-        for name, of in found.items()
+        figure
+        for name, of in by_kind.items()
         if of
-        for q in (50, 99)
+        for figure in percentiles(f"engine's fix to verdict, {name}", "ms", of, GOAL_P99_MS, "goal, p99")
     ]
 
 

@@ -20,10 +20,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from figure import Figure, lower
+from figure import Figure, least_s, lower
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria, resolve
 from support.ambiguity_models import drawn, float_covariance
@@ -98,10 +96,10 @@ def _compiled_in(folder: Path) -> Path | None:
 
 
 def _of_wheel() -> Path | None:
-    found = importlib.util.find_spec("pyrtklib5")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("pyrtklib5")
+    if spec is None or spec.origin is None:
         return None
-    return next(iter(sorted(Path(found.origin).parent.glob("*.so"))), None)
+    return next(iter(sorted(Path(spec.origin).parent.glob("*.so"))), None)
 
 
 _CRITERIA = FixCriteria(
@@ -115,19 +113,9 @@ _CRITERIA = FixCriteria(
 
 
 def camber(floats: Floats, covariance: Floats) -> tuple[Callable[[], object], Floats]:
-    found = resolve(floats, covariance, _CRITERIA)
-    assert found.status == RESOLVED
-    return lambda: resolve(floats, covariance, _CRITERIA), found.ambiguities
-
-
-def least_us(solve: Callable[[], object]) -> float:
-    """Of some rounds: the time on a core that was not taken away."""
-    took = []
-    for _ in range(ROUNDS):
-        began = time.perf_counter_ns()
-        solve()
-        took.append(time.perf_counter_ns() - began)
-    return min(took) * 1e-3
+    resolved = resolve(floats, covariance, _CRITERIA)
+    assert resolved.status == RESOLVED
+    return lambda: resolve(floats, covariance, _CRITERIA), resolved.ambiguities
 
 
 def figures() -> list[Figure]:
@@ -137,18 +125,21 @@ def figures() -> list[Figure]:
             print("LAMBDA: no RTKLIB source package with gcc, and no pyrtklib5: left out", file=sys.stderr)
             return []
         theirs, peer_name = peer
-        found = []
+        figures = []
         for count, satellites, bands in SIZES:
             times = []
             for floats, covariance in epochs(satellites, bands):
-                (solve, integers), (solve_peer, peers) = (
-                    camber(floats, covariance),
-                    theirs(floats, covariance),
+                solve, integers = camber(floats, covariance)
+                solve_peer, peers = theirs(floats, covariance)
+                times.append(
+                    [
+                        1e6 * least_s(call, rounds=ROUNDS, clock=time.perf_counter)
+                        for call in (solve, solve_peer)
+                    ]
                 )
-                times.append((least_us(solve), least_us(solve_peer)))
                 # NaN: RTKLIB gave up after 10,000 nodes.
                 assert np.isnan(peers).all() or (np.rint(peers) == integers).all()
             ours_us, peer_us = (statistics.median(column) for column in zip(*times, strict=True))
             name = f"LAMBDA, {count} ambiguities on {bands} band{'s' if bands > 1 else ''}, seed {SEED}"
-            found.append(lower(name, "µs", ours_us, peer_us, peer_name))
-        return found
+            figures.append(lower(name, "µs", ours_us, peer_us, peer_name))
+        return figures

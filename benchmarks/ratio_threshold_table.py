@@ -77,8 +77,8 @@ def wrong_ratios(upper: Floats, variances: Floats, normal: Floats) -> Floats:
             floats[row] = 0.0
             for column in range(row, count):
                 floats[row] += upper[row, column] * np.sqrt(variances[column]) * normal[sample, column]
-        found, vectors, norms, _ = nearest_integers(upper, variances, floats, 2, _MOST_NODES)
-        if found < 2:
+        known, vectors, norms, _ = nearest_integers(upper, variances, floats, 2, _MOST_NODES)
+        if known < 2:
             # Not known to be right: counted as wrong and sure of itself.
             ratios[sample] = np.inf
             continue
@@ -106,29 +106,29 @@ def sampled(random: np.random.Generator, upper: Floats, variances: Floats, sampl
 def table(seed: int, geometries: int, samples: int) -> Floats:
     """Ratios (failure rates, counts, bootstrapped failure rates), infinite where none were made."""
     random = np.random.default_rng(seed)
-    found = np.ones((len(FAILURE_RATES), len(COUNTS), len(BOOTSTRAPPED_FAILURE)))
+    needed = np.ones((len(FAILURE_RATES), len(COUNTS), len(BOOTSTRAPPED_FAILURE)))
     for row, count in enumerate(COUNTS):
         many = count > _MANY
         for _ in range(_GEOMETRIES_OF_MANY if many else geometries):
             upper, variances = geometry(random, count)
             for column, failure in enumerate(BOOTSTRAPPED_FAILURE):
                 if many and failure > _FAILURE_OF_MANY:
-                    found[:, row, column] = np.inf
+                    needed[:, row, column] = np.inf
                     continue
                 fitted = scaled(variances, failure)
                 ratios = sampled(random, upper, fitted, _SAMPLES_OF_MANY if many else samples)
                 for place, failure_rate in enumerate(FAILURE_RATES):
                     if failure > failure_rate:
-                        needed = ratio_needed(ratios, failure_rate)
-                        found[place, row, column] = max(found[place, row, column], needed)
+                        least = ratio_needed(ratios, failure_rate)
+                        needed[place, row, column] = max(needed[place, row, column], least)
         print(f"{count} ambiguities done", file=sys.stderr, flush=True)
-    return in_order(found)
+    return in_order(needed)
 
 
-def in_order(found: Floats) -> Floats:
+def in_order(needed: Floats) -> Floats:
     """More failures never ask for less, nor do fewer ambiguities: what contradicts it is the luck of the geometries."""
-    missing = np.isinf(found)
-    ratios = np.where(missing, 1.0, found)
+    missing = np.isinf(needed)
+    ratios = np.where(missing, 1.0, needed)
     ratios = np.maximum.accumulate(ratios[:, ::-1], axis=1)[:, ::-1]
     ratios = np.maximum.accumulate(ratios, axis=2)
     # Of the few geometries of many ambiguities the worst may be missing: they are asked for what fewer are.

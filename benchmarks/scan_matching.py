@@ -14,14 +14,12 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
-from figure import Figure, lower
+from figure import Figure, least_s, lower
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.geodesy.se3 import invert, transform_points
 from camber.localizer.map_clouds.voxel_grid import voxel_means
@@ -146,17 +144,11 @@ def measured(
     asked: Sequence[street_lidar.Query], match: Callable[[street_lidar.Query], Floats]
 ) -> tuple[float, float]:
     """Median ms of the queries, each the least of three rounds, and the 95th percentile of the error in cm."""
-    took, off_cm = [], []
+    spent_ms, off_cm = [], []
     for query in asked:
-        found = match(query)
-        off_cm.append(100.0 * float(np.hypot(*query.error(found)[:2])))
-        best = np.inf
-        for _ in range(ROUNDS):
-            began = time.perf_counter()
-            match(query)
-            best = min(best, 1e3 * (time.perf_counter() - began))
-        took.append(best)
-    return statistics.median(took), float(np.percentile(off_cm, 95))
+        off_cm.append(100.0 * float(np.hypot(*query.error(match(query))[:2])))
+        spent_ms.append(1e3 * least_s(partial(match, query), rounds=ROUNDS, clock=time.perf_counter))
+    return statistics.median(spent_ms), float(np.percentile(off_cm, 95))
 
 
 def figures() -> list[Figure]:
@@ -181,12 +173,12 @@ def figures() -> list[Figure]:
         return lambda query: match(clouds[id(query)], query.guess)
 
     ms, cm = measured(asked, ours)
-    found = [
+    figures = [
         lower("ten sweeps overlaid and matched in layers", "ms", everything_ms(), BUDGET_MS, "half of 10 Hz")
     ]
     icp_ms, icp_cm = measured(asked, of(of_document(targets)))
-    found.append(lower("layers matched, planes", "ms", ms, icp_ms, "the document's ICP, small_gicp"))
-    found.append(lower("error p95 from 0.5 m, planes", "cm", cm, icp_cm, "the document's ICP, small_gicp"))
+    figures.append(lower("layers matched, planes", "ms", ms, icp_ms, "the document's ICP, small_gicp"))
+    figures.append(lower("error p95 from 0.5 m, planes", "cm", cm, icp_cm, "the document's ICP, small_gicp"))
     for name, module, make in (
         ("Open3D point-to-point in layers", "open3d", lambda m: of_open3d(targets, m)),
         ("KISS-ICP registration", "kiss_icp", lambda _: of_kiss_icp(targets, *_of_kiss_icp())),
@@ -197,10 +189,10 @@ def figures() -> list[Figure]:
             print(f"scan_matching: {module} is not installed, no figure beside it ({error})", file=sys.stderr)
             continue
         peer_ms, peer_cm = measured(asked, of(peer))
-        found.append(lower("layers matched", "ms", ms, peer_ms, name))
-        found.append(lower("layers matched, the document's ICP", "ms", icp_ms, peer_ms, name))
-        found.append(lower("error p95 from 0.5 m", "cm", cm, peer_cm, name))
-    return found
+        figures.append(lower("layers matched", "ms", ms, peer_ms, name))
+        figures.append(lower("layers matched, the document's ICP", "ms", icp_ms, peer_ms, name))
+        figures.append(lower("error p95 from 0.5 m", "cm", cm, peer_cm, name))
+    return figures
 
 
 def _of_kiss_icp() -> tuple[Any, Any]:
