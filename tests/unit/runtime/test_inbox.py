@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from camber.runtime.inbox import Inbox
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import Received, encode, encoding_of
@@ -23,68 +25,44 @@ def accepts(inbox: Inbox, message: Received[Motion], now_s: float = 0.0) -> bool
     return inbox.accept(message, NOW_NS + round(now_s * NS)) is message.message
 
 
-def test_a_fresh_message_is_handed_out() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(0))
-    assert not inbox.refused
+# Messages in order: number, time in s, whether it is handed out; then why the others are not.
+CASES: dict[str, tuple[list[tuple[int, float, bool]], dict[str, int]]] = {
+    "a fresh message": ([(0, 0.0, True)], {}),
+    "as old as the table allows, and older": ([(0, -0.5, True), (1, -0.501, False)], {"stale": 1}),
+    "a clock a little ahead, and one far ahead": ([(0, 0.5, True), (1, 0.501, False)], {"future": 1}),
+    "a refused message leaves no trace": (
+        [(90, 60.0, False), (80, -60.0, False), (0, 0.0, True)],
+        {"future": 1, "stale": 1},
+    ),
+    "twice": ([(7, 0.0, True), (7, 0.0, False)], {"repeated": 1}),
+    "an older number, or an older time": (
+        [(7, 0.0, True), (6, -0.1, False), (6, 0.0, False), (7, -0.1, False)],
+        {"out_of_order": 3},
+    ),
+    "gaps in the numbers": ([(0, 0.0, True), (3, 0.03, True), (17, 0.17, True)], {}),
+    # The last is what the predecessor of a restarted producer, or the network, repeats.
+    "a restarted producer": (
+        [(500, 0.0, True), (0, 0.1, True), (1, 0.2, True), (0, 0.1, False)],
+        {"out_of_order": 1},
+    ),
+    "a producer restarted after its first message": ([(0, 0.0, True), (0, 0.1, True)], {}),
+}
 
 
-def test_what_is_older_than_the_table_allows_is_stale() -> None:
+@pytest.mark.parametrize(("messages", "refused"), CASES.values(), ids=CASES)
+def test_what_is_fresh_and_new_is_handed_out(
+    messages: list[tuple[int, float, bool]], refused: dict[str, int]
+) -> None:
     inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(0, at_s=-0.5))
+    for sequence, at_s, accepted in messages:
+        assert accepts(inbox, received(sequence, at_s=at_s)) == accepted
+    assert inbox.refused == refused
+
+
+def test_what_is_stale_is_named_with_its_age() -> None:
+    inbox = Inbox(channel=MOTION)
     assert not accepts(inbox, received(1, at_s=-0.501))
-    assert inbox.refused == {"stale": 1}
     assert inbox.last_detail == "0.501 s old, at most 0.5 s"
-
-
-def test_a_clock_a_little_ahead_is_borne_and_one_far_ahead_is_not() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(0, at_s=0.5))
-    assert not accepts(inbox, received(1, at_s=0.501))
-    assert inbox.refused == {"future": 1}
-
-
-def test_a_refused_message_leaves_no_trace() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert not accepts(inbox, received(90, at_s=60.0))
-    assert not accepts(inbox, received(80, at_s=-60.0))
-    assert accepts(inbox, received(0))
-
-
-def test_a_message_that_comes_twice_is_handed_out_once() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(7))
-    assert not accepts(inbox, received(7))
-    assert inbox.refused == {"repeated": 1}
-
-
-def test_an_older_number_with_an_older_time_is_out_of_order() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(7))
-    assert not accepts(inbox, received(6, at_s=-0.1))
-    assert not accepts(inbox, received(6))
-    assert not accepts(inbox, received(7, at_s=-0.1))
-    assert inbox.refused == {"out_of_order": 3}
-
-
-def test_gaps_in_the_numbers_are_no_fault() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert [accepts(inbox, received(n, at_s=n / 100)) for n in (0, 3, 17)] == [True] * 3
-
-
-def test_a_restarted_producer_counts_from_zero_and_is_accepted_at_once() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(500))
-    assert accepts(inbox, received(0, at_s=0.1))
-    assert accepts(inbox, received(1, at_s=0.2))
-    assert not accepts(inbox, received(0, at_s=0.1))  # what its predecessor or the network repeats
-    assert inbox.refused == {"out_of_order": 1}
-
-
-def test_a_producer_restarted_after_its_first_message_is_accepted() -> None:
-    inbox = Inbox(channel=MOTION)
-    assert accepts(inbox, received(0))
-    assert accepts(inbox, received(0, at_s=0.1))
 
 
 def test_a_producer_restarted_while_the_clock_was_set_back_is_accepted() -> None:

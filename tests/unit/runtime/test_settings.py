@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,7 +13,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
 from camber.gnss.settings import GnssSettings
-from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, load_or_exit, to_toml
+from camber.runtime.settings import ServiceSettings, ZenohSettings, load, load_or_exit, to_toml
 from camber.schemas.channels import SERVICES
 
 
@@ -58,6 +59,22 @@ def complaint(cls: type[ServiceSettings], argv: list[str], capsys: pytest.Captur
     assert message.out == ""
     (line,) = message.err.splitlines()
     return line.removeprefix("camber sample: ")
+
+
+Sources = Callable[[dict[str, str], str, list[str]], str]
+
+
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sources:
+    """The complaint about an environment, the text of a file, called FILE, and arguments."""
+
+    def result(environment: dict[str, str], text: str, argv: list[str]) -> str:
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        file = toml(tmp_path, text) if text else []
+        return complaint(Sample, [*file, *argv], capsys).replace(str(tmp_path / "camber.toml"), "FILE")
+
+    return result
 
 
 def test_every_level_overrules_those_below_it_for_a_plain_field(
@@ -113,77 +130,72 @@ def test_the_environment_of_another_service_is_nobodys_business(monkeypatch: pyt
     assert read(Sample, []).width_m == 2.0
 
 
-def test_an_unknown_key_of_the_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    argv = toml(tmp_path, "widht_m = 3.0")
-    assert complaint(Sample, argv, capsys) == f"{argv[1]}: widht_m: unknown setting"
-    argv = toml(tmp_path, "[inner]\nlenght_m = 3.0")
-    assert complaint(Sample, argv, capsys) == f"{argv[1]}: inner.lenght_m: unknown setting"
-    argv = toml(tmp_path, "_cli_settings_source = 1")
-    assert complaint(Sample, argv, capsys) == f"{argv[1]}: _cli_settings_source: unknown setting"
-
-
-def test_an_unknown_option_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert complaint(Sample, ["--widht-m", "3"], capsys) == "unrecognized arguments: --widht-m 3"
-    assert (
-        complaint(Sample, ["--width", "3"], capsys) == "unrecognized arguments: --width 3"
-    )  # nor abbreviated
-    assert complaint(Sample, ["--config"], capsys) == "argument --config: expected one argument"
-
-
-@pytest.mark.parametrize("name", ["CAMBER_SAMPLE_WIDHT_M", "CAMBER_SAMPLE_INER__LENGTH_M"])
-def test_an_unknown_variable_is_named(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("environment", "text", "argv", "line"),
+    [
+        ({}, "widht_m = 3.0", [], "FILE: widht_m: unknown setting"),
+        ({}, "[inner]\nlenght_m = 3.0", [], "FILE: inner.lenght_m: unknown setting"),
+        ({}, "_cli_settings_source = 1", [], "FILE: _cli_settings_source: unknown setting"),
+        ({}, "", ["--widht-m", "3"], "unrecognized arguments: --widht-m 3"),
+        ({}, "", ["--width", "3"], "unrecognized arguments: --width 3"),  # nor abbreviated
+        ({}, "", ["--config"], "argument --config: expected one argument"),
+        *(
+            ({name: "3.0"}, "", [], f"environment: {name}: {field}unknown setting")
+            for name, field in {
+                "CAMBER_SAMPLE_WIDHT_M": "",
+                "CAMBER_SAMPLE_INER__LENGTH_M": "",
+                "CAMBER_SAMPLE_INNER__LENGHT_M": "inner.lenght_m: ",
+            }.items()
+        ),
+    ],
+)
+def test_what_is_unknown_is_named_with_its_place(
+    sources: Sources, environment: dict[str, str], text: str, argv: list[str], line: str
 ) -> None:
-    monkeypatch.setenv(name, "3.0")
-    assert complaint(Sample, [], capsys) == f"environment: {name}: unknown setting"
-
-
-def test_an_unknown_nested_variable_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("CAMBER_SAMPLE_INNER__LENGHT_M", "3.0")
-    message = "environment: CAMBER_SAMPLE_INNER__LENGHT_M: inner.lenght_m: unknown setting"
-    assert complaint(Sample, [], capsys) == message
-
-
-def test_a_unit_in_a_value_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    argv = toml(tmp_path, "width_m = '20 cm'")
-    message = complaint(Sample, argv, capsys)
-    assert message.startswith(f"{argv[1]}: width_m: ")
-    assert "valid number" in message
-    assert message.endswith("(got '20 cm')")
-
-
-def test_a_value_out_of_range_is_named_with_its_place(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    message = complaint(Sample, ["--inner.length-m", "-1"], capsys)
-    assert message.startswith("inner.length_m: ")
-    argv = toml(tmp_path, "width_m = 3.0")
-    message = complaint(Sample, [*argv, "--width-m=-1"], capsys)
-    assert message.startswith("width_m: ")
-    assert message.endswith("(got '-1')")
+    assert sources(environment, text, argv) == line
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "field"),
+    ("environment", "text", "argv", "begin", "end"),
     [
-        ("CAMBER_SAMPLE_WIDTH_M", "wide", "width_m"),
-        ("CAMBER_SAMPLE_INNER__LENGTH_M", "long", "inner.length_m"),
-        ("camber_sample_inner", '{"length_m": "long"}', "inner.length_m"),
+        ({}, "width_m = '20 cm'", [], "FILE: width_m: Input should be a valid number", "(got '20 cm')"),
+        ({}, "", ["--inner.length-m", "-1"], "inner.length_m: ", ""),
+        ({}, "width_m = 3.0", ["--width-m=-1"], "width_m: ", "(got '-1')"),
+        # A wrong value of the environment is not laid to a file.
+        *(
+            (
+                {name: text},
+                "width_m = 3.0\n[inner]\nlength_m = 3.0",
+                [],
+                f"environment: {name}: {field}: ",
+                "",
+            )
+            for name, text, field in (
+                ("CAMBER_SAMPLE_WIDTH_M", "wide", "width_m"),
+                ("CAMBER_SAMPLE_INNER__LENGTH_M", "long", "inner.length_m"),
+                ("camber_sample_inner", '{"length_m": "long"}', "inner.length_m"),
+            )
+        ),
+        *(
+            ({name: "[tcp/a:1"}, "", [], "environment: zenoh: expected JSON for a list or a table", "")
+            for name in ("CAMBER_SAMPLE_ZENOH", "CAMBER_SAMPLE_ZENOH__CONNECT")
+        ),
+        # The name of a vehicle is a part of a key.
+        *(({}, "", ["--vehicle", name], "vehicle: ", "") for name in ("", "a/b", "*", "a b", "v" * 65)),
     ],
 )
-def test_a_wrong_value_of_the_environment_is_not_laid_to_a_file(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    text: str,
-    field: str,
+def test_a_wrong_value_is_named_with_its_place(
+    sources: Sources, environment: dict[str, str], text: str, argv: list[str], begin: str, end: str
 ) -> None:
-    monkeypatch.setenv(name, text)
-    argv = toml(tmp_path, "width_m = 3.0\n[inner]\nlength_m = 3.0")
-    assert complaint(Sample, argv, capsys).startswith(f"environment: {name}: {field}: ")
+    line = sources(environment, text, argv)
+    assert line.startswith(begin)
+    assert line.endswith(end)
+
+
+def test_a_list_on_the_command_line_that_is_not_one_is_named(sources: Sources) -> None:
+    line = sources({}, "", ["--zenoh.connect", "[1"])
+    assert line.startswith("command line: ")
+    assert "zenoh.connect" in line
 
 
 @pytest.mark.parametrize(
@@ -202,26 +214,6 @@ def test_a_file_that_cannot_be_read_is_named(
 
 def test_a_folder_is_no_file_of_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert complaint(Sample, ["--config", str(tmp_path)], capsys) == f"{tmp_path}: Is a directory"
-
-
-@pytest.mark.parametrize("name", ["CAMBER_SAMPLE_ZENOH", "CAMBER_SAMPLE_ZENOH__CONNECT"])
-def test_a_list_that_is_not_json_is_named(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv(name, "[tcp/a:1")
-    message = complaint(Sample, [], capsys)
-    assert message.startswith("environment: zenoh: expected JSON for a list or a table")
-
-
-def test_a_list_on_the_command_line_that_is_not_one_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    message = complaint(Sample, ["--zenoh.connect", "[1"], capsys)
-    assert message.startswith("command line: ")
-    assert "zenoh.connect" in message
-
-
-@pytest.mark.parametrize("vehicle", ["", "a/b", "*", "a b", "v" * 65])
-def test_a_vehicles_name_is_a_part_of_a_key(vehicle: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert complaint(Sample, ["--vehicle", vehicle], capsys).startswith("vehicle: ")
 
 
 def test_check_says_that_the_settings_are_right_and_ends(capsys: pytest.CaptureFixture[str]) -> None:
@@ -293,11 +285,6 @@ def test_help_lists_every_setting_of_a_service(capsys: pytest.CaptureFixture[str
     message = capsys.readouterr().out
     for name in GnssSettings.model_fields:
         assert f"--{name.replace('_', '-')}" in message
-
-
-def test_load_raises_what_load_or_exit_says() -> None:
-    with pytest.raises(ConfigError, match="unrecognized arguments"):
-        load(Sample, ["--nothing"], prog="camber sample")
 
 
 class Locked(ServiceSettings):

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,6 +32,18 @@ def folder(tmp_path: Path) -> Path:
     authority.issue("early", "vehicle", days=1, now=now + timedelta(days=1))
     Authority.make(tmp_path / "theirs", name="theirs", days=30, now=now)
     return tmp_path / "pki"
+
+
+def certificates(folder: Path) -> dict[str, Any]:
+    return {
+        "tls_ca": folder / "ca.pem",
+        "tls_certificate": folder / "car-1.pem",
+        "tls_key": folder / "car-1.key",
+    }
+
+
+def table_of(folder: Path) -> dict[str, Any]:
+    return tls_table(*certificates(folder).values())
 
 
 def read(tmp_path: Path, zenoh: str) -> ZenohSettings:
@@ -65,40 +78,27 @@ def test_all_of_tls_is_taken_and_printed_as_paths(tmp_path: Path) -> None:
     assert not ZenohSettings().over_tls
 
 
-def test_a_good_table_passes(folder: Path) -> None:
-    check_table(tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key"))
+def test_a_good_table_passes_and_makes_both_sides_show_their_certificates(folder: Path) -> None:
+    table = table_of(folder)
+    check_table(table)
     assert certificate_name(folder / "car-1.pem") == "car-1"
-
-
-def test_both_sides_show_a_certificate_that_is_looked_at(folder: Path) -> None:
-    table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
     assert table["enable_mtls"]
     assert table["verify_name_on_connect"]
     assert table["close_link_on_expiration"]
 
 
-def _remove(path: Path) -> None:
-    path.unlink()
-
-
-def _damage(path: Path) -> None:
+def cut_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:100])
 
 
 @pytest.mark.parametrize("name", ["ca.pem", "car-1.pem", "car-1.key"])
-@pytest.mark.parametrize(("harm", "why"), [(_remove, "No such file"), (_damage, "not a ")])
+@pytest.mark.parametrize(("harm", "why"), [(Path.unlink, "No such file"), (cut_off, "not a ")])
 def test_a_file_that_is_missing_or_damaged_is_named(
     folder: Path, name: str, harm: Callable[[Path], None], why: str
 ) -> None:
     secret = (folder / "car-1.key").read_text().splitlines()[1]
     harm(folder / name)
-    settings = ZenohSettings(
-        mode="client",
-        connect=["tls/127.0.0.1:1"],
-        tls_ca=folder / "ca.pem",
-        tls_certificate=folder / "car-1.pem",
-        tls_key=folder / "car-1.key",
-    )
+    settings = ZenohSettings(mode="client", connect=["tls/127.0.0.1:1"], **certificates(folder))
     with pytest.raises(BusError, match=why) as refused:
         open_session(settings, timeout_s=1.0)
     assert str(folder / name) in str(refused.value)
@@ -203,13 +203,7 @@ def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
         return answer
 
     monkeypatch.setattr(access_probe, "can_publish", ask)
-    settings = ZenohSettings(
-        mode="client",
-        connect=list(lists),
-        tls_ca=folder / "ca.pem",
-        tls_certificate=folder / "car-1.pem",
-        tls_key=folder / "car-1.key",
-    )
+    settings = ZenohSettings(mode="client", connect=list(lists), **certificates(folder))
 
     def asked(name: str | None, *linked: str) -> tuple[str, str | None]:
         return router._access_status(settings, name, frozenset(linked))
@@ -255,7 +249,7 @@ def test_a_link_that_goes_to_another_router_is_asked_about_anew(
     monkeypatch.setattr(router.zenoh, "Session", Session)
     monkeypatch.setattr(router, "_access_status", ask)
     monkeypatch.setattr(router, "_LOOK_S", 0.0)
-    table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
+    table = table_of(folder)
     with pytest.raises(EndError):
         router._watch([Session()], ["tls/a:1"], table, [], begin_anew=pytest.fail)
     assert asked == [{"A"}, {"B"}]

@@ -36,17 +36,20 @@ class Ports(Service[ServiceSettings]):
         self.advanced.release()
 
 
+def working(period_s: float) -> tuple[Ports, Loop]:
+    settings = ServiceSettings(log_level="error", period_s=period_s)
+    service = Ports(settings, Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock()))
+    return service, Loop(service, service.bus, SystemClock())
+
+
 @pytest.fixture
 def service() -> Any:
-    settings = ServiceSettings(log_level="error", period_s=10.0)
-    bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
-    service = Ports(settings, bus)
-    loop = Loop(service, bus, SystemClock())
+    service, loop = working(10.0)
     thread = threading.Thread(target=loop.work)
     thread.start()
     yield service
     loop.stopping = True
-    bus.wake()
+    service.bus.wake()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
 
@@ -58,10 +61,8 @@ def test_bytes_at_a_separate_port_are_worked_on_at_once_not_at_the_end_of_the_pe
 
 
 def test_what_is_due_by_the_clock_is_done_however_much_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = ServiceSettings(log_level="error", period_s=0.1)
-    bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
-    service = Ports(settings, bus)
-    loop = Loop(service, bus, SystemClock())
+    service, loop = working(0.1)
+    bus = service.bus
 
     def more_comes(_: object) -> bool:
         time.sleep(0.02)
@@ -138,9 +139,8 @@ def test_where_a_round_takes_longer_than_its_period_what_has_come_does_not_pile_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As a worker that waits for its queue in each round, and asks for the next one."""
-    settings = ServiceSettings(log_level="error", period_s=0.05)
-    bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
-    service = Ports(settings, bus)
+    service, loop = working(0.05)
+    bus = service.bus
     rounds = 0
 
     def long_round(_: int) -> None:
@@ -151,7 +151,6 @@ def test_where_a_round_takes_longer_than_its_period_what_has_come_does_not_pile_
         loop.stopping = rounds == 4
 
     monkeypatch.setattr(service, "advance", long_round)
-    loop = Loop(service, bus, SystemClock())
     for _ in range(40):
         bus.wake()
     loop.work()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from random import Random
 from typing import Any
 
 import pytest
+import zenoh
 
 from camber.replay.lock_step.service_loop import LockStepBus, LockStepLoop
 from camber.runtime.bus import Bus
@@ -21,6 +23,8 @@ from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import ElevationUpload, UploadReceipt
 from support.messages import build
 from support.running import free_port
+
+MESSAGE = build(ElevationUpload, Random(7))
 
 
 class Server(Service[ServiceSettings]):
@@ -49,14 +53,13 @@ class Server(Service[ServiceSettings]):
         ]
 
 
-@pytest.mark.parametrize("replayed", [False, True], ids=["live", "in a replay"])
-def test_an_upload_comes_with_the_vehicle_of_its_key(replayed: bool) -> None:
+@contextmanager
+def server_and_client(*, replayed: bool = False) -> Iterator[tuple[Server, Loop, zenoh.Session]]:
+    """A service of the fleet that answers uploads, and one who sends them."""
     clock = ReplayClock() if replayed else SystemClock()
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    settings = ServiceSettings(
-        vehicle="fleet", zenoh=ZenohSettings(mode="router", connect=[], listen=[endpoint])
-    )
-    message = build(ElevationUpload, Random(7))
+    zenoh_settings = ZenohSettings(mode="router", connect=[], listen=[endpoint])
+    settings = ServiceSettings(vehicle="fleet", zenoh=zenoh_settings, log_level="error")
     bus_class, loop_class = (LockStepBus, LockStepLoop) if replayed else (Bus, Loop)
     bus = bus_class(open_session(settings.zenoh), settings, "map_update", clock)
     client = open_session(ZenohSettings(mode="client", connect=[endpoint]))
@@ -64,45 +67,38 @@ def test_an_upload_comes_with_the_vehicle_of_its_key(replayed: bool) -> None:
         service = Server(settings, bus)
         loop = loop_class(service, bus, clock)
         bus.answer(BY_NAME["upload"])
-        replies = client.get(
-            "camber/v1/fleet/car-7/upload",
-            payload=encode(message, source="test"),
-            encoding=encoding_of(ElevationUpload),
-            timeout=10.0,
-        )
-        assert bus.next_event(10.0) == ("query", "upload")
-        loop.answer("upload")
-        (receipt,) = [
-            decode(UploadReceipt, reply.ok.payload.to_bytes()).message for reply in replies if reply.ok
-        ]
-        assert receipt.upload_id == message.upload_id
-        ((vehicle, at_ns),) = service.got
-        assert vehicle == "car-7"
-        assert not replayed or at_ns == message.time_ns
+        yield service, loop, client
     finally:
         client.close()
         bus.close()
+
+
+def answered(loop: Loop, client: zenoh.Session, key: str) -> list[zenoh.Reply]:
+    payload, encoding = encode(MESSAGE, source="test"), encoding_of(ElevationUpload)
+    replies = client.get(key, payload=payload, encoding=encoding, timeout=10.0)
+    assert loop.bus.next_event(10.0) == ("query", "upload")
+    loop.answer("upload")
+    return list(replies)
+
+
+@pytest.mark.parametrize("replayed", [False, True], ids=["live", "in a replay"])
+def test_an_upload_comes_with_the_vehicle_of_its_key(replayed: bool) -> None:
+    with server_and_client(replayed=replayed) as (service, loop, client):
+        replies = answered(loop, client, "camber/v1/fleet/car-7/upload")
+        (receipt,) = [
+            decode(UploadReceipt, each.ok.payload.to_bytes()).message for each in replies if each.ok
+        ]
+        assert receipt.upload_id == MESSAGE.upload_id
+        ((vehicle, at_ns),) = service.got
+        assert vehicle == "car-7"
+        assert not replayed or at_ns == MESSAGE.time_ns
 
 
 @pytest.mark.parametrize("key", ["camber/v1/fleet/**", "camber/v1/**", "camber/v1/fleet/*/upload"])
 def test_an_upload_that_is_asked_of_many_vehicles_is_refused_and_the_service_goes_on(key: str) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    zenoh = ZenohSettings(mode="router", connect=[], listen=[endpoint])
-    settings = ServiceSettings(vehicle="fleet", zenoh=zenoh, log_level="error")
-    bus = Bus(open_session(settings.zenoh), settings, "map_update", SystemClock())
-    client = open_session(ZenohSettings(mode="client", connect=[endpoint]))
-    try:
-        service = Server(settings, bus)
-        loop = Loop(service, bus, SystemClock())
-        bus.answer(BY_NAME["upload"])
-        payload, encoding = encode(build(ElevationUpload, Random(7))), encoding_of(ElevationUpload)
-        replies = client.get(key, payload=payload, encoding=encoding, timeout=10.0)
-        assert bus.next_event(10.0) == ("query", "upload")
-        loop.answer("upload")
+    with server_and_client() as (service, loop, client):
+        replies = answered(loop, client, key)
         (error,) = [reply.err.payload.to_bytes().decode() for reply in replies if reply.err]
         assert f"key '{key}': expected camber/v1/fleet/{{vehicle}}/upload of one vehicle" in error
         assert service.got == []
-        assert [issue.code for issue in bus.issues()] == ["refused_question"]
-    finally:
-        client.close()
-        bus.close()
+        assert [issue.code for issue in loop.bus.issues()] == ["refused_question"]
