@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -16,6 +15,7 @@ from camber.antenna_height.settings import AntennaHeightSettings
 from camber.runtime.bus import Bus
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.motion import Motion, Suspension
+from support.fake_bus import FakeBus
 
 START_NS = 1_450_000_000 * 1_000_000_000
 STEP_NS = 100_000_000
@@ -98,21 +98,16 @@ def test_damaged_text_is_refused(text: str) -> None:
         references_from_text(text, SETTINGS.options().vehicle)
 
 
-class FakeBus:
-    def __init__(self) -> None:
-        self.last: AntennaHeight | None = None
-        self.issues: Counter[str] = Counter()
+class HeightBus(FakeBus):
+    last: AntennaHeight
 
     def publish(self, name: str, message: AntennaHeight) -> None:
         self.last = message
 
-    def issue(self, code: str, text: str) -> None:
-        self.issues[code] += 1
 
-
-def driven(folder: Path, stroke_m: float, *, begin_s: int = 0, **more: object) -> FakeBus:
+def driven(folder: Path, stroke_m: float, *, begin_s: int = 0, **more: object) -> HeightBus:
     """Forty seconds of driving with the service, which is then ended."""
-    bus = FakeBus()
+    bus = HeightBus()
     settings = SETTINGS.model_copy(update={"state_dir": folder, **more})
     service = AntennaHeightService(settings, cast(Bus, bus))
     handlers = service.handlers()
@@ -125,27 +120,23 @@ def driven(folder: Path, stroke_m: float, *, begin_s: int = 0, **more: object) -
     return bus
 
 
-def status(bus: FakeBus) -> str:
-    return bus.last.status
-
-
 def test_a_change_between_two_drives_is_a_disagreement_until_it_is_measured(tmp_path: Path) -> None:
-    assert status(driven(tmp_path, 0.35)) == "known"
-    assert status(driven(tmp_path, 0.37, begin_s=1000)) == "disagreement"
-    assert status(driven(tmp_path, 0.37, begin_s=2000)) == "disagreement"
-    assert status(driven(tmp_path, 0.35, begin_s=3000)) == "known"
-    assert status(driven(tmp_path, 0.37, begin_s=4000, tyre_radius_m=0.305)) == "known"
+    assert driven(tmp_path, 0.35).last.status == "known"
+    assert driven(tmp_path, 0.37, begin_s=1000).last.status == "disagreement"
+    assert driven(tmp_path, 0.37, begin_s=2000).last.status == "disagreement"
+    assert driven(tmp_path, 0.35, begin_s=3000).last.status == "known"
+    assert driven(tmp_path, 0.37, begin_s=4000, tyre_radius_m=0.305).last.status == "known"
 
 
 def test_a_damaged_file_is_one_issue_and_the_next_is_whole(tmp_path: Path) -> None:
     (tmp_path / "differences.json").write_bytes(b"\xff\x00{")
-    assert driven(tmp_path, 0.35).issues == {"differences_unreadable": 1}
-    assert driven(tmp_path, 0.35, begin_s=1000).issues == {}
+    assert [code for code, _ in driven(tmp_path, 0.35).issues] == ["differences_unreadable"]
+    assert driven(tmp_path, 0.35, begin_s=1000).issues == []
     assert [path.name for path in tmp_path.iterdir()] == ["differences.json"]
 
 
 def test_where_nothing_can_be_written_the_height_is_known_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     bus = driven(tmp_path / "file", 0.35)
-    assert status(bus) == "known"
-    assert set(bus.issues) == {"differences_not_kept"}
+    assert bus.last.status == "known"
+    assert bus.codes() == {"differences_not_kept"}

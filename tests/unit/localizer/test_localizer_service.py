@@ -23,6 +23,7 @@ from camber.schemas.integrity import Verdict, VerdictValue
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
 from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest, Places, RoadsAhead
+from support.fake_bus import FakeBus
 from support.small_map import at
 
 NS = 1_000_000_000
@@ -38,6 +39,7 @@ GIVEN = {
     "yaw_sigma_deg": 1.0,
 }
 VERDICTS_WITHOUT_TRUST = set(get_args(VerdictValue)) - {"confirmed", "confirmed_after_verification"}
+NOT_FIXED = ["float", "dgps", "single", "ppp", "sbas", "estimated", "none"]
 
 
 def flat(places: Places) -> RoadsAhead:
@@ -115,12 +117,11 @@ class FakeMap:
         return [request for request in self.asked if isinstance(request, ElevationRequest)][-1]
 
 
-class FakeBus:
+class PoseBus(FakeBus):
     def __init__(self, map_server: FakeMap) -> None:
+        super().__init__()
         self.map = map_server
         self.poses: list[Pose] = []
-        self.issues: list[tuple[str, str]] = []
-        self.counters: Counter[str] = Counter()
 
     def ask(self, name: str, request: Any) -> Any:
         return self.map.ask(name, request)
@@ -132,12 +133,6 @@ class FakeBus:
     def publish(self, name: str, message: Pose) -> None:
         assert name == "pose"
         self.poses.append(message)
-
-    def issue(self, code: str, text: str) -> None:
-        self.issues.append((code, text))
-
-    def count(self, name: str, n: int = 1) -> None:
-        self.counters[name] += n
 
 
 def position_at(tenth: int, east_m: float, north_m: float) -> dict[str, Any]:
@@ -159,7 +154,7 @@ class Drive:
 
     def __init__(self, **settings_: Any) -> None:
         self.map = FakeMap()
-        self.bus = FakeBus(self.map)
+        self.bus = PoseBus(self.map)
         settings = LocalizerSettings(**{"clock": "replay"} | settings_)
         self.service = LocalizerService(settings, cast(Bus, self.bus))
         self.handlers: dict[str, Callable[[Any], None]] = self.service.handlers()
@@ -238,35 +233,27 @@ def test_fixes_that_agree_with_the_motion_start_a_provisional_pose() -> None:
     assert pose.yaw_rad == pytest.approx(0.0, abs=0.02)
     assert pose.road.status == "known"
     assert drive.service.healthy()
+    assert drive.start_by_fixes(200).mode == "provisional", "however many fixes agree"
 
 
-def test_a_provisional_pose_stays_provisional_however_many_fixes_agree() -> None:
-    drive = Drive()
-    assert drive.start_by_fixes(200).mode == "provisional"
-
-
-@pytest.mark.parametrize("quality", ["float", "dgps", "single", "ppp", "sbas", "estimated", "none"])
-def test_only_fixes_that_claim_to_be_fixed_start_anything(quality: str) -> None:
-    drive = Drive()
-    for tenth in range(50):
-        pose = drive.step(fix_at(tenth, tenth * 1.0, quality=quality))
-    assert pose.mode == "none"
-
-
-def test_fixes_that_do_not_follow_the_motion_start_nothing() -> None:
+@pytest.mark.parametrize(
+    ("speed_m_s", "changed", "codes"),
+    [
+        (12.0, {}, set()),  # does not follow the motion
+        *((10.0, {"quality": name}, set()) for name in NOT_FIXED),
+        (10.0, {"covariance_enu_m2": None}, set()),
+        (10.0, {"covariance_enu_m2": (0.0,) * 6}, {"unusable_covariance"}),
+        (10.0, {"covariance_enu_m2": (1.0, 2.0, 0.0, 1.0, 0.0, 1.0)}, {"unusable_covariance"}),
+    ],
+)
+def test_only_fixes_of_quality_fixed_with_a_covariance_that_follow_the_motion_start_anything(
+    speed_m_s: float, changed: dict[str, Any], codes: set[str]
+) -> None:
     drive = Drive()
     for tenth in range(60):
-        pose = drive.step(fix_at(tenth, tenth * 1.2))
+        pose = drive.step(fix_at(tenth, tenth * speed_m_s * STEP_S, **changed))
     assert pose.mode == "none"
-
-
-@pytest.mark.parametrize("covariance", [None, (0.0,) * 6, (1.0, 2.0, 0.0, 1.0, 0.0, 1.0)])
-def test_a_fix_without_a_usable_covariance_starts_nothing_and_breaks_nothing(covariance: Any) -> None:
-    drive = Drive()
-    for tenth in range(30):
-        pose = drive.step(fix_at(tenth, tenth * 1.0, covariance_enu_m2=covariance))
-    assert pose.mode == "none"
-    assert set(drive.codes()) == (set() if covariance is None else {"unusable_covariance"})
+    assert drive.bus.codes() == codes
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (-0.61, -0.752), (1.2, 2.3)])
@@ -329,21 +316,22 @@ def test_no_other_verdict_ever_anchors(value: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"latitude_rad": None}, {"longitude_rad": None}, {"covariance_enu_m2": None}]
+    ("name", "value", "issues"),
+    [
+        ("latitude_rad", None, {}),
+        ("longitude_rad", None, {}),
+        ("covariance_enu_m2", None, {}),
+        ("covariance_enu_m2", (0.0,) * 6, {"unusable_covariance": 1}),
+    ],
 )
-def test_a_confirmation_without_a_whole_position_anchors_nothing(changed: dict[str, Any]) -> None:
+def test_a_confirmation_without_a_whole_position_anchors_nothing(
+    name: str, value: Any, issues: dict[str, int]
+) -> None:
     drive = Drive(initial_pose=GIVEN)
     drive.run(10)
-    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, **changed))
+    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, **{name: value}))
     assert pose.provenance == "given"
-
-
-def test_a_confirmation_of_a_covariance_that_is_none_anchors_nothing_and_breaks_nothing() -> None:
-    drive = Drive(initial_pose=GIVEN)
-    drive.run(10)
-    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, covariance_enu_m2=(0.0,) * 6))
-    assert pose.provenance == "given"
-    assert drive.codes() == {"unusable_covariance": 1}
+    assert drive.codes() == issues
 
 
 def test_a_confirmed_position_far_from_a_given_pose_is_kept_out() -> None:
@@ -443,6 +431,7 @@ def test_without_an_answer_the_road_is_unknown_and_the_reason_is_reported(failur
     assert drive.codes()["no_elevation"] == 5
     drive.map.failure = None
     assert drive.run(1).road.status == "known"
+    assert drive.map.last_elevation().last_surface_id is None, "no old surface is named"
 
 
 def test_an_unknown_road_of_the_map_is_passed_on() -> None:
@@ -466,16 +455,6 @@ def test_the_road_is_asked_for_under_the_antenna_with_links_and_the_last_surface
     assert request.last_surface_id == 11
     assert pose.link_id == 104
     assert 104 in request.link_ids
-
-
-def test_after_an_unknown_road_no_old_surface_is_named() -> None:
-    drive = Drive(initial_pose=GIVEN)
-    drive.run(3)
-    drive.map.failure = "timeout"
-    drive.run(1)
-    drive.map.failure = None
-    drive.run(1)
-    assert drive.map.last_elevation().last_surface_id is None
 
 
 def test_an_uncertain_pose_gets_the_road_around_it_and_a_certain_one_does_not() -> None:

@@ -476,31 +476,6 @@ def test_the_sensors_may_swap_systems():
 # Start, and the independence of the pose from unconfirmed fixes
 
 
-def test_a_given_pose_starts_dead_reckoning():
-    vehicle = Vehicle()
-    assert vehicle.filter.start(given_pose(vehicle))
-    e = vehicle.filter.estimate()
-    assert (e.mode, e.provenance) == ("dead_reckoning", "given")
-
-
-@pytest.mark.parametrize("begin", ["anchored", "given"])
-def test_no_unconfirmed_fix_changes_a_pose_that_was_anchored_or_given(begin):
-    vehicle = anchored_vehicle() if begin == "anchored" else Vehicle()
-    if begin == "given":
-        vehicle.filter.start(given_pose(vehicle))
-    vehicle.drive(30.0, 8.0)
-    before = vehicle.filter.estimate()
-    assert not vehicle.filter.accepts_fixes
-    assert not vehicle.filter.start(given_pose(vehicle, provenance="fixes"))
-    after = vehicle.filter.estimate()
-    assert (after.east_m, after.north_m, after.provenance) == (
-        before.east_m,
-        before.north_m,
-        before.provenance,
-    )
-    np.testing.assert_array_equal(after.covariance, before.covariance)
-
-
 def test_fixes_may_restart_a_pose_whose_sigma_says_it_has_drifted():
     vehicle = Vehicle(model=PoseModel(restart_sigma_m=5.0))
     vehicle.filter.start(given_pose(vehicle, yaw_deg=3.0))

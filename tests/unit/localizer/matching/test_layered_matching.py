@@ -211,12 +211,6 @@ def test_the_order_of_the_frames_does_not_matter(map_m: Floats) -> None:
     assert error(match.map_from_local, there @ TRUTH)[0] < 0.01
 
 
-def test_equal_input_gives_equal_bits(layers: list[LayerTarget]) -> None:
-    first, second = matched(seen(), layers), matched(seen(), layers)
-    assert first.map_from_local.tobytes() == second.map_from_local.tobytes()
-    assert first.covariance.tobytes() == second.covariance.tobytes()
-
-
 def test_another_number_of_targets_is_refused(layers: list[LayerTarget]) -> None:
     with pytest.raises(ValueError, match="2 targets, expected 3"):
         matched(seen(), layers[:2])

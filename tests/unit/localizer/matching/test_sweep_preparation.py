@@ -110,10 +110,6 @@ def test_it_is_thinned_and_no_voxel_is_lost() -> None:
     assert len(result.points_m) == len(cells)
 
 
-def test_the_same_sweep_gives_the_same_bytes() -> None:
-    assert prepared().points_m.tobytes() == prepared().points_m.tobytes()
-
-
 def test_points_that_are_no_numbers_are_left_out() -> None:
     points, offset = measured(walls(), driving())
     points[::10] = np.nan

@@ -20,7 +20,6 @@ from camber.simulator.vehicle.sensors import (
     RangingSensor,
     RateSensor,
     SensorSet,
-    VehicleReadings,
     WheelSensor,
     distance_to_road_m,
     edge_times,
@@ -271,17 +270,6 @@ def test_a_robot_has_no_stroke() -> None:
     readings = read_sensors(t, ROBOT, path.surface_m, NORMAL, 1)
     assert readings.stroke is None
     assert suspension_messages(readings, NORMAL) == []
-
-
-def test_the_same_seed_gives_the_same_readings_another_seed_others(
-    path: Path, trajectory: Trajectory
-) -> None:
-    one, same, other = (read_sensors(trajectory, CAR, path.surface_m, NORMAL, s) for s in (1, 1, 2))
-    for name in VehicleReadings.__slots__:
-        a, b, c = (getattr(x, name) for x in (one, same, other))
-        assert a.value.tobytes() == b.value.tobytes()
-        assert a.time_ns.tobytes() == b.time_ns.tobytes()
-        assert a.value.tobytes() != c.value.tobytes()
 
 
 def test_to_change_one_error_leaves_the_others(path: Path, trajectory: Trajectory) -> None:

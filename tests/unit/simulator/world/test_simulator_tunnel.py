@@ -5,10 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import pytest
 
 from camber.simulator.satellites.propagation import what_blocks
-from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Floats, Integers, Material
 from camber.simulator.world.district import District, make_district
 from camber.simulator.world.road_mesh import CEILING_M
@@ -83,10 +81,3 @@ def test_they_do_not_affect_satellites_signals() -> None:
 
 def test_where_there_is_no_tunnel_there_are_no_fittings() -> None:
     assert len(tunnel_fittings(make_district("open-sky", 3).roads("drive"), 3)) == 0
-
-
-@pytest.mark.parametrize("beams", [32, 64])
-def test_a_lidar_can_be_put_on_a_drive_that_comes_without(beams: int) -> None:
-    lidar = load_scenario("tunnel-950s", [f"lidar.beams={beams}"]).lidar
-    assert lidar is not None
-    assert lidar.beams == beams
