@@ -13,7 +13,6 @@ from pydantic import BaseModel, ValidationError
 
 from camber.schemas.base import EARLIEST_NS, LATEST_NS, MAX_ITEMS, Message
 from camber.schemas.gnss import Fix, ReceiverBytes
-from camber.schemas.lidar import Sweep
 from camber.schemas.road import SurfaceTile
 from support.messages import build, message_classes
 
@@ -116,13 +115,3 @@ def test_a_grid_beyond_the_heights_is_refused() -> None:
     for bad in ({"grid_m": tile.grid_m[:-1]}, {"rows": np.full_like(tile.rows, 2**31 - 1)}):
         with pytest.raises(ValidationError, match="grid ends beyond"):
             SurfaceTile(**fields | bad)
-
-
-def test_a_sweep_keeps_what_it_was_given_when_the_giver_writes_on() -> None:
-    points = np.zeros((2, 3), "<f4")
-    one = np.zeros(2, "<f4")
-    sweep = Sweep(
-        time_ns=EARLIEST_NS, sensor="top", points_m=points, intensity=one, offset_ns=np.zeros(2, "<i4")
-    )
-    points[0, 0] = 5.0
-    assert not sweep.points_m.any()

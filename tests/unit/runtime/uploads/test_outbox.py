@@ -64,19 +64,14 @@ def test_what_was_put_is_there_when_the_outbox_is_opened_again(path):
         assert outbox.notice is None
 
 
-def test_the_same_upload_put_twice_waits_once(path):
+def test_an_upload_put_twice_waits_once_and_another_one_under_its_id_is_an_error(path):
     with opened(path) as outbox:
         outbox.put(*upload(1))
         outbox.put(*upload(1))
         assert held(outbox) == [upload(1)]
-
-
-def test_another_upload_under_a_waiting_id_is_an_error_and_nothing_of_its_group_is_stored(path):
-    with opened(path) as outbox:
-        outbox.put(*upload(1))
         with pytest.raises(ValueError, match="u1"):
             outbox.put_many([upload(2), Upload("u1", "upload", b"other")])
-        assert held(outbox) == [upload(1)]
+        assert held(outbox) == [upload(1)], "nothing of its group is stored"
 
 
 def test_numbers_are_not_used_again(path):
@@ -88,17 +83,12 @@ def test_numbers_are_not_used_again(path):
         assert outbox.pending(1)[0].number > first
 
 
-def test_acknowledging_what_is_not_there_changes_nothing(path):
-    with opened(path) as outbox:
-        outbox.put(*upload(1))
-        outbox.acknowledge(["u2", "u3"])
-        outbox.refused("u4", "unknown")
-        assert outbox.counts() == (1, 0)
-
-
-def test_a_refused_upload_becomes_a_dead_letter_with_its_reason(path):
+def test_a_refused_upload_becomes_a_dead_letter_and_what_is_not_there_changes_nothing(path):
     with opened(path) as outbox:
         outbox.put_many([upload(1), upload(2)])
+        outbox.acknowledge(["u5", "u3"])
+        outbox.refused("u4", "unknown")
+        assert outbox.counts() == (2, 0)
         outbox.refused("u1", "datum unknown")
         assert held(outbox) == [upload(2)]
         assert outbox.dead_letters() == [("u1", "datum unknown")]

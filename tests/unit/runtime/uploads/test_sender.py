@@ -76,27 +76,17 @@ def waiting(outbox):
     return [pending.id for pending in outbox.pending(1000)]
 
 
-@pytest.mark.parametrize("status", ["stored", "duplicate"])
-def test_an_upload_leaves_when_the_cloud_has_it(outbox, wire, status):
+@pytest.mark.parametrize("status", ["stored", "duplicate", "refused"])
+def test_an_upload_leaves_when_the_cloud_has_it_or_refuses_it(outbox, wire, status):
     put(outbox, "a", "b")
     sender = Sender(outbox, wire.send)
     sender.step(0.0)
     assert waiting(outbox) == ["a", "b"]
-    wire.answer("a", status)
+    wire.answer("a", status, "datum" if status == "refused" else "")
     sender.step(0.1)
     assert waiting(outbox) == ["b"]
+    assert outbox.dead_letters() == ([("a", "datum")] if status == "refused" else [])
     assert sender.counts == {status: 1}
-
-
-def test_a_refused_upload_becomes_a_dead_letter(outbox, wire):
-    put(outbox, "a")
-    sender = Sender(outbox, wire.send)
-    sender.step(0.0)
-    wire.answer("a", "refused", "datum")
-    sender.step(0.1)
-    assert waiting(outbox) == []
-    assert outbox.dead_letters() == [("a", "datum")]
-    assert sender.counts == {"refused": 1}
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 import pytest
 
@@ -36,8 +36,13 @@ def path(tmp_path):
     return tmp_path / "outbox.sqlite"
 
 
-def make(path, ask=silent):
-    return Uploader(path, source="integrity", limit_bytes=LIMIT, ask=ask)
+@pytest.fixture
+def make(path):
+    """Makes uploaders, and closes them at the end of the test at the latest."""
+    with ExitStack() as made:
+        yield lambda ask=silent: made.enter_context(
+            closing(Uploader(path, source="integrity", limit_bytes=LIMIT, ask=ask))
+        )
 
 
 def waiting(path):
@@ -59,8 +64,8 @@ class Server:
         return encode(receipt), encoding_of(UploadReceipt)
 
 
-def test_what_was_handed_over_is_on_the_disk_after_close(path):
-    uploader = make(path)
+def test_what_was_handed_over_is_on_the_disk_after_close(path, make):
+    uploader = make()
     for k in range(50):
         uploader.put(f"u{k}", "upload", message(k))
     uploader.close()
@@ -69,9 +74,9 @@ def test_what_was_handed_over_is_on_the_disk_after_close(path):
     assert decode(ReleaseHead, result[7].payload, None).message == message(7)
 
 
-def test_it_is_sent_and_leaves_when_it_is_acknowledged(path):
+def test_it_is_sent_and_leaves_when_it_is_acknowledged(make):
     server = Server()
-    uploader = make(path, server)
+    uploader = make(server)
     uploader.put("u1", "upload_batch", message(1))
     wait_for(lambda: server.asked and uploader.outbox.counts().pending == 0)
     uploader.close()
@@ -79,25 +84,24 @@ def test_it_is_sent_and_leaves_when_it_is_acknowledged(path):
     assert uploader.problems() == []
 
 
-def test_that_nobody_answers_is_a_problem_reported_when_it_grows(path):
-    uploader = make(path)
+def test_that_nobody_answers_is_a_problem_reported_when_it_grows(make):
+    uploader = make()
     uploader.put("u1", "upload", message(1))
     wait_for(lambda: uploader.sender.sender.counts["failed"] > 0)
     wait_for(lambda: uploader.sender.sender.last_failure)
     uploader.sender.close()
     assert uploader.problems() == [("upload_unanswered", "RuntimeError: nobody answers")]
     assert uploader.problems() == []
-    uploader.close()
 
 
-def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(path, monkeypatch):
+def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(make, monkeypatch):
     monkeypatch.setattr(module, "_SILENT_S", 0.3)
     server, answers = Server(), threading.Event()
 
     def denied(channel, data):
         return server(channel, data) if answers.is_set() else silent(channel, data)
 
-    uploader = make(path, denied)
+    uploader = make(denied)
     uploader.put("u1", "upload", message())
     wait_for(lambda: uploader.sender.sender.counts["failed"])
     assert "upload_not_acknowledged" not in dict(uploader.problems())
@@ -111,28 +115,25 @@ def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(path, m
     wait_for(lambda: uploader.sender.sender.counts["stored"], timeout_s=15.0)
     time.sleep(0.4)
     assert "upload_not_acknowledged" not in dict(uploader.problems())
-    uploader.close()
 
 
-def test_a_refusal_is_a_problem(path):
-    uploader = make(path, Server("refused"))
+def test_a_refusal_is_a_problem(make):
+    uploader = make(Server("refused"))
     uploader.put("u1", "upload", message(1))
     wait_for(lambda: uploader.sender.sender.counts["refused"] > 0)
     assert ("upload_refused", "1 are dead letters") in uploader.problems()
-    uploader.close()
 
 
-def test_a_damaged_outbox_is_a_problem(path):
+def test_a_damaged_outbox_is_a_problem(path, make):
     path.write_bytes(b"no database at all" * 1000)
-    uploader = make(path)
+    uploader = make()
     codes = [code for code, _ in uploader.problems()]
     assert codes == ["outbox_damaged"]
-    uploader.close()
 
 
-def test_a_disk_that_fails_for_a_while_loses_nothing(path, monkeypatch):
+def test_a_disk_that_fails_for_a_while_loses_nothing(path, make, monkeypatch):
     monkeypatch.setattr(module, "_RETRY_S", 0.01)
-    uploader = make(path)
+    uploader = make()
     put_many, failing = uploader.outbox.put_many, threading.Event()
     failing.set()
 
@@ -151,20 +152,20 @@ def test_a_disk_that_fails_for_a_while_loses_nothing(path, monkeypatch):
     assert [pending.id for pending in waiting(path)] == ["u1", "u2"]
 
 
-def test_one_that_still_fails_at_the_end_is_reported(path, monkeypatch):
+def test_one_that_still_fails_at_the_end_is_reported(make, monkeypatch):
     def full(uploads):
         raise OutboxError("no room left")
 
-    uploader = make(path)
+    uploader = make()
     monkeypatch.setattr(uploader.outbox, "put_many", full)
     uploader.put("u1", "upload", message(1))
     uploader.close()
     assert ("upload_lost", "1 uploads: no room left") in uploader.problems()
 
 
-def test_an_id_that_is_taken_costs_only_that_upload(path, monkeypatch):
+def test_an_id_that_is_taken_costs_only_that_upload(path, make, monkeypatch):
     release = threading.Event()
-    uploader = make(path)
+    uploader = make()
     put_many = uploader.outbox.put_many
 
     def slow(uploads):
@@ -182,11 +183,11 @@ def test_an_id_that_is_taken_costs_only_that_upload(path, monkeypatch):
     assert "u1" in text
 
 
-def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(path, monkeypatch):
+def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(make, monkeypatch):
     monkeypatch.setattr(module, "_QUEUE_LIMIT", 2)
     monkeypatch.setattr(module, "_STORE_LIMIT_S", 0.05)
     release, entered = threading.Event(), threading.Event()
-    uploader = make(path)
+    uploader = make()
 
     def hangs(uploads):
         entered.set()
@@ -206,19 +207,16 @@ def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(
     assert not uploader._writer.is_alive()
 
 
-def test_how_many_uploads_wait_is_known_without_asking_the_disk(path):
-    uploader = make(path)
-    try:
-        for k in range(7):
-            uploader.put(f"u{k}", "upload", message(k))
-        wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
-    finally:
-        uploader.close()
+def test_how_many_uploads_wait_is_known_without_asking_the_disk(make):
+    uploader = make()
+    for k in range(7):
+        uploader.put(f"u{k}", "upload", message(k))
+    wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
 
 
-def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, monkeypatch):
+def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, make, monkeypatch):
     begun, release = threading.Event(), threading.Event()
-    uploader = make(path)
+    uploader = make()
     put_many = uploader.outbox.put_many
 
     def little_room(uploads):
