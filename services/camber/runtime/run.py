@@ -326,10 +326,6 @@ def _stop_on_signal(loop: Loop) -> None:
 
 def _end_within(limit_s: float, code: int) -> None:
     """A session that does not close must not keep the process: end it after the limit."""
-
-    def end() -> None:
-        os._exit(code)
-
-    timer = threading.Timer(limit_s, end)
+    timer = threading.Timer(limit_s, os._exit, [code])
     timer.daemon = True
     timer.start()

@@ -43,17 +43,13 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
         table = tls_table(settings.tls_ca, settings.tls_certificate, settings.tls_key)
         _put(config, "transport/link/tls", table)
     _check_tls(config)
-
-    def put(key: str, value: object) -> None:
-        _put(config, key, value)
-
-    put("mode", settings.mode)
-    put("connect/endpoints", settings.connect)
-    put("listen/endpoints", [] if settings.mode == "client" else settings.listen)
+    _put(config, "mode", settings.mode)
+    _put(config, "connect/endpoints", settings.connect)
+    _put(config, "listen/endpoints", [] if settings.mode == "client" else settings.listen)
     # -1: for ever. 0 would be one attempt, after which a peer never looks for its router again.
-    put("connect/timeout_ms", -1 if timeout_s is None else round(1000 * timeout_s))
-    put("connect/exit_on_failure", timeout_s is not None)
-    put("scouting/gossip/enabled", True)
+    _put(config, "connect/timeout_ms", -1 if timeout_s is None else round(1000 * timeout_s))
+    _put(config, "connect/exit_on_failure", timeout_s is not None)
+    _put(config, "scouting/gossip/enabled", True)
     _depart_from_defaults(config, settings.lease_s)
     try:
         return zenoh.open(config)

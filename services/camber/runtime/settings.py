@@ -337,6 +337,3 @@ def load_or_exit(cls: type[S], argv: list[str], *, prog: str) -> S:
     if args.print_config or args.check:
         raise SystemExit(0)
     return settings
-
-
-__all__ = ["ConfigError", "ServiceSettings", "ZenohSettings", "load", "load_or_exit", "to_toml"]

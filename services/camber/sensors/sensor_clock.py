@@ -22,13 +22,9 @@ without leap seconds. arrival: from whenever it was switched on; then the quicke
 
 _HOUR_NS = 3600 * NS_PER_SECOND
 _TAI_AHEAD_NS = 19 * NS_PER_SECOND  # of GPS time, a constant
-_JUMP_NS = (
-    50_000_000  # chosen: by more, stamps and arrivals part between two packets only where a clock was set
-)
+_JUMP_NS = 50_000_000  # chosen: stamps and arrivals of two packets part by more only where a clock was set
 _QUICKEST_OF_NS = 10 * NS_PER_SECOND
-_LATER_NS = (
-    5_000_000  # chosen: by which even the quickest of two seconds are later only where a clock was set
-)
+_LATER_NS = 5_000_000  # chosen: the quickest of two seconds are so much later only where a clock was set
 _LOOKS_LIKE = {
     18: "18 s: the stamps are UTC and were set to be GPS time, or the other way round",
     19: "19 s: the stamps are TAI and were set to be GPS time, or the other way round",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TypeVar
 
 from camber.formats.drive.timed_file import TimedFile
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame
@@ -19,8 +18,6 @@ from camber.sensors.settings import SensorsSettings
 from camber.sensors.sources import can_source, lidar_source
 from camber.transport.packet_ports import CanPort, UdpPort
 
-P = TypeVar("P", Played[Datagram], Played[CanFrame])
-
 
 class SensorsService(Service[SensorsSettings]):
     """What arrives is published as soon as it is whole; errors are counted and reported as issues."""
@@ -30,9 +27,9 @@ class SensorsService(Service[SensorsSettings]):
 
     def __init__(self, settings: SensorsSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._played: list[Played[Datagram] | Played[CanFrame]] = []
         self._packets = self._open_lidar()
         self._frames = self._open_can()
+        self._played = [each for each in (self._packets, self._frames) if isinstance(each, Played)]
         self._lidar = None if self._packets is None else settings.lidar.reader()
         self._can = None if self._frames is None else settings.can.reader()
         self._sweeps_ended = False
@@ -50,7 +47,7 @@ class SensorsService(Service[SensorsSettings]):
         where = lidar_source(self.settings.lidar.source)
         if where[0] == "udp":
             return Live("lidar", UdpPort(where[1], where[2]))
-        return self._kept(Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name))))
+        return Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name)))
 
     def _open_can(self) -> Input[CanFrame] | None:
         if self.settings.can.source is None:
@@ -58,11 +55,7 @@ class SensorsService(Service[SensorsSettings]):
         where = can_source(self.settings.can.source)
         if where[0] == "socketcan":
             return Live("can", CanPort(where[1]))
-        return self._kept(Played("can", TimedFile(where[1], CandumpDecoder(where[1].name))))
-
-    def _kept(self, played: P) -> P:
-        self._played.append(played)
-        return played
+        return Played("can", TimedFile(where[1], CandumpDecoder(where[1].name)))
 
     def _start_playing(self, now_ns: int) -> None:
         firsts = [first for played in self._played if (first := played.first_ns()) is not None]

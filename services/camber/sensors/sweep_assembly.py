@@ -10,9 +10,7 @@ import numpy as np
 from camber.formats.lidar_can.firings import Firings, Float64, Int32, Int64, joined
 from camber.schemas.lidar import Sweep
 
-_SETTLES_NS = (
-    3_000_000  # chosen: so long the first packets of a turn wait for the last ones of the turn before
-)
+_SETTLES_NS = 3_000_000  # chosen: so long a turn's first packets wait for the last ones of the turn before
 _PAUSE_NS = 40_000_000  # chosen: after a longer one the seam may have been in it
 _BACK = 0.1  # chosen: of a turn: sensors do not turn backwards
 _LONGEST_NS = 1_000_000_000  # chosen: nothing turns so slowly

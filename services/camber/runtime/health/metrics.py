@@ -215,6 +215,3 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> bytes:
         "Connection: close\r\nCache-Control: no-store\r\n\r\n"
     )
     return head.encode("ascii") + body
-
-
-__all__ = ["REFUSALS", "HealthCollector", "MetricsServer"]

@@ -33,7 +33,10 @@ class HealthReporter:
         self._bus = bus
         self._started = self._round = time.monotonic()
         self._late: deque[tuple[float, float]] = deque()  # when, by how much: only what nothing later exceeds
-        self._process = f"{socket.gethostname()}:{os.getpid()}"
+        self._of_process = [
+            ("process", f"{socket.gethostname()}:{os.getpid()}"),
+            ("messages", messages_digest()),
+        ]
 
     @property
     def uptime_s(self) -> float:
@@ -56,6 +59,7 @@ class HealthReporter:
     def health(self, healthy: bool | None, gauges: dict[str, float], facts: dict[str, str]) -> Health:
         """Whatever it has met, it can say so; the rest is the service's own words, `healthy` None where that failed."""
         now_s = time.monotonic()
+        lag_s = max((by_s for _, by_s in self._late), default=0.0)
         status: Literal["ok", "degraded", "failing"] = (
             "failing" if self.failed or healthy is None else "ok" if healthy else "degraded"
         )
@@ -69,20 +73,12 @@ class HealthReporter:
             issues=self._bus.issues(),
             counters=dict(self._bus.counters),
             channels=self._bus.channels(),
-            gauges=dict(list({**self._gauges(), **gauges}.items())[:_MOST_GAUGES]),
+            gauges=dict(list({"loop_lag_s": lag_s, **process_figures(), **gauges}.items())[:_MOST_GAUGES]),
             facts={
-                name: text[:_MOST_TEXT]
-                for name, text in [*self._process_facts(), *facts.items()][:_MOST_FACTS]
+                name: text[:_MOST_TEXT] for name, text in [*self._of_process, *facts.items()][:_MOST_FACTS]
             },
             log_level=self._bus.log_level,
         )
-
-    def _process_facts(self) -> list[tuple[str, str]]:
-        return [("process", self._process), ("messages", messages_digest())]
-
-    def _gauges(self) -> dict[str, float]:
-        lag_s = max((by_s for _, by_s in self._late), default=0.0)
-        return {"loop_lag_s": lag_s, **process_figures()}
 
 
 @functools.cache
