@@ -11,12 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from camber.replay.road_lines import SPACING_M, RoadLines
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
+from camber.schemas.base import Float64, Int64
 
 LONGEST_LINK_M = 300.0
 """Chosen, as all lengths here: of the size found in maps that navigation uses."""
@@ -33,11 +30,11 @@ _THINNING_SHARE = 1.0 / 6.0  # chosen: most of the deviation is left to the erro
 class PlaneLinks:
     """Link i has id i + 1; `link_of_sample` gives the id of each sample's link."""
 
-    start_node: Indices
-    end_node: Indices
-    vertices_m: list[Array]
-    link_of_sample: Indices
-    level: Indices
+    start_node: Int64
+    end_node: Int64
+    vertices_m: list[Float64]
+    link_of_sample: Int64
+    level: Int64
 
 
 def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator) -> PlaneLinks:
@@ -74,8 +71,8 @@ def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator)
     )  # fmt: skip
 
 
-def thinned(line_m: Array, tolerance_m: float) -> Indices:
-    """Indices of the vertices to keep so that no vertex of `line_m` (n, 2) is further off (Douglas & Peucker 1973)."""
+def thinned(line_m: Float64, tolerance_m: float) -> Int64:
+    """Int64 of the vertices to keep so that no vertex of `line_m` (n, 2) is further off (Douglas & Peucker 1973)."""
     keep = np.zeros(len(line_m), dtype=bool)
     keep[[0, -1]] = True
     open_ends = [(0, len(line_m) - 1)]
@@ -99,7 +96,7 @@ def _has_links(lines: RoadLines, run: int) -> bool:
     return dead_end or float(lines.distance_m[stop - 1] - lines.distance_m[first]) >= _SNAP_M
 
 
-def _nodes(lines: RoadLines, run: int, met: list[int]) -> Indices:
+def _nodes(lines: RoadLines, run: int, met: list[int]) -> Int64:
     """Samples of a run that are nodes: its ends, where other roads meet it, and what keeps links short."""
     first, stop = lines.runs[run]
     nodes = [first, stop - 1]
@@ -125,13 +122,13 @@ def _level_changes(lines: RoadLines, run: int) -> list[int]:
     return [first + int(k) + 1 for k in np.flatnonzero(np.diff(wide.astype(np.int8)))]
 
 
-def _furthest_from_zero(levels: Indices) -> int:
+def _furthest_from_zero(levels: Int64) -> int:
     return int(levels[np.argmax(np.abs(levels))]) if len(levels) else 0
 
 
 def _path(
-    lines: RoadLines, run: int, nodes_of_run: dict[int, Indices], run_of_sample: Indices
-) -> tuple[Indices, list[int]]:
+    lines: RoadLines, run: int, nodes_of_run: dict[int, Int64], run_of_sample: Int64
+) -> tuple[Int64, list[int]]:
     """The samples that the links of a run go along, and where its nodes stand among them.
 
     An end that meets another road goes on to the nearest node of that road.
@@ -156,7 +153,7 @@ def _path(
     return path, places
 
 
-def _error(lines: RoadLines, largest_m: float, rng: np.random.Generator) -> Array:
+def _error(lines: RoadLines, largest_m: float, rng: np.random.Generator) -> Float64:
     """An error (n, 2) across the road: every 50 m to either side, half to all of the largest; straight in between."""
     knots = int(lines.distance_m[-1] // _KNOT_M) + 2
     size_m = largest_m * (0.5 + 0.5 * rng.random(knots)) * np.where(rng.random(knots) < 0.5, -1.0, 1.0)
@@ -164,11 +161,11 @@ def _error(lines: RoadLines, largest_m: float, rng: np.random.Generator) -> Arra
     along = np.gradient(lines.east_north_m, axis=0)
     left = np.column_stack((-along[:, 1], along[:, 0]))
     length = np.maximum(np.hypot(*left.T), 1e-9)
-    error: Array = (across_m / length)[:, None] * left
+    error: Float64 = (across_m / length)[:, None] * left
     return error
 
 
-def _lend(lines: RoadLines, link_of_sample: Indices) -> None:
+def _lend(lines: RoadLines, link_of_sample: Int64) -> None:
     """Samples without a link of their own take that of the sample at their place, else of the nearest one."""
     without = link_of_sample == 0
     link_of_sample[without] = link_of_sample[lines.same_as[without]]
@@ -179,9 +176,9 @@ def _lend(lines: RoadLines, link_of_sample: Indices) -> None:
         link_of_sample[k] = link_of_sample[having[np.argmin(away_m)]]
 
 
-def _away_from_segment(points_m: Array, a_m: Array, b_m: Array) -> Array:
+def _away_from_segment(points_m: Float64, a_m: Float64, b_m: Float64) -> Float64:
     step = b_m - a_m
     length2 = float(step @ step)
     share = np.clip((points_m - a_m) @ step / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros(len(points_m))
-    away: Array = np.hypot(*(points_m - a_m - share[:, None] * step).T)
+    away: Float64 = np.hypot(*(points_m - a_m - share[:, None] * step).T)
     return away

@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
+from camber.schemas.base import Float64, Int64
 
 SPACING_M = 2.0
 """Of samples along the road. Chosen: a road's height is straight over it to some millimetres."""
@@ -44,16 +42,16 @@ class RoadLines:
     consecutive new samples; `joined` gives, for each run, the earlier samples it starts and ends at, or −1.
     """
 
-    distance_m: Array
-    east_north_m: Array
-    height_m: Array
-    same_as: Indices
-    level: Indices
+    distance_m: Float64
+    east_north_m: Float64
+    height_m: Float64
+    same_as: Int64
+    level: Int64
     runs: tuple[tuple[int, int], ...]
     joined: tuple[tuple[int, int], ...]
 
 
-def road_lines(east_north_m: Array, height_m: Array) -> RoadLines:
+def road_lines(east_north_m: Float64, height_m: Float64) -> RoadLines:
     """Samples of a track given as (n, 2) and (n,), in the order driven; raises ValueError if it does not move."""
     step_m = np.hypot(*np.diff(east_north_m, axis=0).T)
     step_m[step_m < _STANDSTILL_STEP_M] = 0.0
@@ -78,7 +76,7 @@ def road_lines(east_north_m: Array, height_m: Array) -> RoadLines:
     )  # fmt: skip
 
 
-def _first_passes(distance_m: Array, plane_m: Array, height_m: Array) -> Indices:
+def _first_passes(distance_m: Float64, plane_m: Float64, height_m: Float64) -> Int64:
     same_as = np.arange(len(distance_m))
     new = np.ones(len(distance_m), dtype=bool)
     step_m = np.diff(plane_m, axis=0)
@@ -96,7 +94,7 @@ def _first_passes(distance_m: Array, plane_m: Array, height_m: Array) -> Indices
     return same_as
 
 
-def _levels(plane_m: Array, height_m: Array, same_as: Indices) -> Indices:
+def _levels(plane_m: Float64, height_m: Float64, same_as: Int64) -> Int64:
     """One above (below) the new road met earlier that is more than two metres lower (higher) there; covered: zero."""
     levels = np.zeros(len(height_m), dtype=np.int64)
     new = same_as == np.arange(len(same_as))
@@ -111,7 +109,7 @@ def _levels(plane_m: Array, height_m: Array, same_as: Indices) -> Indices:
     return levels
 
 
-def _runs(same_as: Indices) -> tuple[tuple[int, int], ...]:
+def _runs(same_as: Int64) -> tuple[tuple[int, int], ...]:
     new = np.concatenate(([False], same_as == np.arange(len(same_as)), [False]))
     edges = np.flatnonzero(np.diff(new.astype(np.int8)))
     return tuple((int(a), int(b)) for a, b in edges.reshape(-1, 2))

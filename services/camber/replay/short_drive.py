@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from camber.formats.drive.motion_csv import write_motion
 from camber.formats.drive.truth_csv import FIX_STATES, TruthTable, write_truth
@@ -25,10 +24,10 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.drive_inputs import write_map
 from camber.replay.surrogates import correlated_noise, make_initial_pose, make_motion
+from camber.schemas.base import Float64
 from camber.schemas.drive import Surrogates
 from camber.simulator.random_streams import stream
 
-Array = npt.NDArray[np.float64]
 State = Literal["right", "wrong", "float", "none"]
 
 NAME = "short-drive"
@@ -182,7 +181,7 @@ def _state(time_s: float) -> State:
     return "right"
 
 
-def _street() -> tuple[Array, Array, Array]:
+def _street() -> tuple[Float64, Float64, Float64]:
     """Distance (m,), yaw (m,) and east, north (m, 2) along the street, with curvature that changes gradually."""
     curvature = np.concatenate(
         [np.full(round(length / _STEP_M), turn / _RADIUS_M) for length, turn in _STREET]
@@ -196,7 +195,7 @@ def _street() -> tuple[Array, Array, Array]:
     return np.linspace(0.0, _STEP_M * len(curvature), len(yaw_rad)), np.asarray(yaw_rad, np.float64), plane_m
 
 
-def _road_height(along_m: Array) -> Array:
+def _road_height(along_m: Float64) -> Float64:
     """Ellipsoidal height of the road by distance driven."""
     begin, end, rise = _HILL
     inside = (along_m > begin) & (along_m < end)
@@ -211,7 +210,7 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
     time_s = (truth.time_ns - truth.time_ns[0]) / 1e9
     n = len(truth)
 
-    def correlated(name: str, sigma_m: Array, correlation_s: float) -> Array:
+    def correlated(name: str, sigma_m: Float64, correlation_s: float) -> Float64:
         rng = stream(seed, name)
         return np.column_stack(
             [correlated_noise(time_s, float(sigma), correlation_s, rng) for sigma in sigma_m]
@@ -255,12 +254,12 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
     return b"".join(lines)
 
 
-def _offset_at(episodes: tuple[WrongEpisode, ...], time_s: float) -> Array:
+def _offset_at(episodes: tuple[WrongEpisode, ...], time_s: float) -> Float64:
     offset = next(e.offset_enu_m for e in episodes if e.from_s <= round(time_s, 3) < e.to_s)
     return np.array(offset)
 
 
-def _moved(truth: TruthTable, k: int, error_enu_m: Array) -> tuple[float, float, float]:
+def _moved(truth: TruthTable, k: int, error_enu_m: Float64) -> tuple[float, float, float]:
     frame = LocalFrame(float(truth.latitude_rad[k]), float(truth.longitude_rad[k]), float(truth.height_m[k]))
     east, north, up = error_enu_m.tolist()
     return frame.geodetic_from_enu(east, north, up)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from camber.formats.drive.truth_csv import TruthTable
 from camber.geodesy.local_frame import LocalFrame
@@ -20,10 +19,9 @@ from camber.replay.road_lines import BEYOND_END_M, OTHER_LEVEL_M, SPACING_M, WID
 from camber.replay.surrogates import correlated_noise
 from camber.replay.truth_interpolation import plane_of
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.schemas.base import Float64
 from camber.schemas.drive import Surrogates
 from camber.simulator.random_streams import stream
-
-Array = npt.NDArray[np.float64]
 
 _SAMPLES_PER_SURFACE = 5
 _LARGEST_TURN_RAD = np.deg2rad(30.0)
@@ -60,7 +58,7 @@ class _Piece:
         return (self.first + self.last) // 2
 
 
-def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Array:
+def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Float64:
     """Heights of all samples as surveyed: noise along new road; a covered sample has its first pass's."""
     new = np.flatnonzero(lines.same_as == np.arange(len(lines.same_as)))
     noise_m = np.zeros(len(lines.height_m))
@@ -70,7 +68,7 @@ def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Array:
         errors.map_correlation_m,
         stream(errors.seed, "map heights"),
     )
-    surveyed: Array = (lines.height_m + noise_m)[lines.same_as]
+    surveyed: Float64 = (lines.height_m + noise_m)[lines.same_as]
     return surveyed
 
 
@@ -97,7 +95,7 @@ def _pieces(lines: RoadLines) -> list[_Piece]:
 
 def _surfaces(
     lines: RoadLines,
-    heights_m: Array,
+    heights_m: Float64,
     pieces: list[_Piece],
     links: PlaneLinks,
     errors: Surrogates,
@@ -135,7 +133,7 @@ def _surfaces(
     )
 
 
-def _grid(centre_m: Array, yaw_rad: float, half_length_m: float, rows: int) -> Array:
+def _grid(centre_m: Float64, yaw_rad: float, half_length_m: float, rows: int) -> Float64:
     """Nodes (rows · columns, 2) of a surface, from the rear to the front, from the right to the left."""
     along, across = np.meshgrid(
         np.linspace(-half_length_m, half_length_m, rows),
@@ -143,7 +141,7 @@ def _grid(centre_m: Array, yaw_rad: float, half_length_m: float, rows: int) -> A
         indexing="ij",
     )
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    nodes_m: Array = centre_m + np.column_stack(
+    nodes_m: Float64 = centre_m + np.column_stack(
         (c * along.ravel() - s * across.ravel(), s * along.ravel() + c * across.ravel())
     )
     return nodes_m
@@ -152,7 +150,7 @@ def _grid(centre_m: Array, yaw_rad: float, half_length_m: float, rows: int) -> A
 class _Ground:
     """The one height of each place and level: that of the nearest piece of new track."""
 
-    def __init__(self, lines: RoadLines, heights_m: Array, pieces: list[_Piece]) -> None:
+    def __init__(self, lines: RoadLines, heights_m: Float64, pieces: list[_Piece]) -> None:
         first = np.concatenate([np.arange(piece.first, piece.last) for piece in pieces])
         self._from_m = lines.east_north_m[first]
         self._step_m = lines.east_north_m[first + 1] - self._from_m
@@ -160,7 +158,7 @@ class _Ground:
         self._height_m = heights_m[first]
         self._climb_m = heights_m[first + 1] - self._height_m
 
-    def heights(self, nodes_m: Array, centre_m: Array, level_height_m: float) -> Array:
+    def heights(self, nodes_m: Float64, centre_m: Float64, level_height_m: float) -> Float64:
         """Heights (n,) at nodes (n, 2) about a centre, on the level that is near `level_height_m`."""
         near = np.hypot(*(self._from_m - centre_m).T) <= _NEAR_M
         near &= np.abs(self._true_m - level_height_m) <= OTHER_LEVEL_M
@@ -170,7 +168,7 @@ class _Ground:
         share = np.clip(np.sum(to_node * step_m, axis=2) / length2, 0.0, 1.0)
         away2 = np.sum((to_node - share[..., None] * step_m) ** 2, axis=2)
         nearest = np.argmin(away2, axis=1)
-        along: Array = share[np.arange(len(nodes_m)), nearest]
+        along: Float64 = share[np.arange(len(nodes_m)), nearest]
         return np.asarray(self._height_m[near][nearest] + along * self._climb_m[near][nearest])
 
 

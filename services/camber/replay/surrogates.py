@@ -16,16 +16,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from camber.formats.drive.truth_csv import TruthTable
 from camber.geodesy.angles import wrap_pi_array
 from camber.replay.truth_interpolation import LONGEST_GAP_NS, plane_of
+from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import InitialPose, Surrogates
 from camber.schemas.motion import Motion
 from camber.simulator.random_streams import stream
-
-Array = npt.NDArray[np.float64]
 
 LEAST_STEERED_SPEED_M_S = 0.5
 """Below this speed the path says nothing of the front wheels, and steering is not known."""
@@ -36,10 +34,10 @@ _LARGEST_STEERING_RAD = 0.7  # chosen: 40°, the lock of a car's front wheels
 class TrueMotion:
     """Motion of n epochs without errors; NaN in `steering_angle_rad` and `yaw_rate_rad_s` where there is none."""
 
-    time_ns: npt.NDArray[np.int64]
-    wheel_speed_m_s: Array
-    yaw_rate_rad_s: Array
-    steering_angle_rad: Array
+    time_ns: Int64
+    wheel_speed_m_s: Float64
+    yaw_rate_rad_s: Float64
+    steering_angle_rad: Float64
 
 
 def true_motion(truth: TruthTable, wheelbase_m: float) -> TrueMotion:
@@ -67,7 +65,7 @@ def make_motion(truth: TruthTable, errors: Surrogates) -> list[Motion]:
     def once(name: str) -> float:
         return float(stream(errors.seed, name).standard_normal())
 
-    def white(name: str) -> Array:
+    def white(name: str) -> Float64:
         return stream(errors.seed, name).standard_normal(n)
 
     scale = 1.0 + errors.wheel_scale_sigma * once("wheel scale")
@@ -110,8 +108,8 @@ def make_initial_pose(truth: TruthTable, errors: Surrogates) -> InitialPose:
 
 
 def correlated_noise(
-    distance_m: Array, sigma_m: float, correlation_m: float, rng: np.random.Generator
-) -> Array:
+    distance_m: Float64, sigma_m: float, correlation_m: float, rng: np.random.Generator
+) -> Float64:
     """A Gaussian process at ascending distances (n,), correlation exp(−|Δ| / correlation): first-order Gauss-Markov.
 
     Exact for any spacing: z₀ ~ N(0, σ²), zₖ = ρ zₖ₋₁ + σ √(1 − ρ²) wₖ with ρ = exp(−Δₖ / correlation).
@@ -129,16 +127,16 @@ def correlated_noise(
     return sigma_m * noise
 
 
-def _signed_speed(truth: TruthTable) -> Array:
+def _signed_speed(truth: TruthTable) -> Float64:
     velocity = truth.velocity_enu_m_s
     forward = velocity[:, 0] * np.cos(truth.yaw_rad) + velocity[:, 1] * np.sin(truth.yaw_rad)
-    signed: Array = np.copysign(
+    signed: Float64 = np.copysign(
         np.hypot(forward, np.where(np.abs(forward) > 0.1, velocity[:, 2], 0.0)), forward
     )
     return signed
 
 
-def _yaw_rate(truth: TruthTable) -> Array:
+def _yaw_rate(truth: TruthTable) -> Float64:
     """Central differences of the yaw [rad/s]; at the ends and beside gaps one-sided; NaN for an epoch alone."""
     step_s = np.diff(truth.time_ns) / 1e9
     turned = wrap_pi_array(np.diff(truth.yaw_rad))
@@ -146,9 +144,9 @@ def _yaw_rate(truth: TruthTable) -> Array:
     step_s, turned = np.where(usable, step_s, 0.0), np.where(usable, turned, 0.0)
     span_s = np.append(step_s, 0.0) + np.append(0.0, step_s)
     turn = np.append(turned, 0.0) + np.append(0.0, turned)
-    rate: Array = np.divide(turn, span_s, out=np.full(len(truth), np.nan), where=span_s > 0.0)
+    rate: Float64 = np.divide(turn, span_s, out=np.full(len(truth), np.nan), where=span_s > 0.0)
     return rate
 
 
-def _optional(values: Array) -> list[float | None]:
+def _optional(values: Float64) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values.tolist()]

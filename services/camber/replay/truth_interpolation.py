@@ -6,14 +6,13 @@ import numpy.typing as npt
 from camber.formats.drive.truth_csv import TruthTable
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.local_frame import LocalFrame
+from camber.schemas.base import Float64, Int64
 
 LONGEST_GAP_NS = 1_000_000_000
 """Between epochs further apart than this nothing is known."""
 
 
-def interpolate_truth(
-    truth: TruthTable, time_ns: npt.NDArray[np.int64]
-) -> tuple[TruthTable, npt.NDArray[np.bool_]]:
+def interpolate_truth(truth: TruthTable, time_ns: Int64) -> tuple[TruthTable, npt.NDArray[np.bool_]]:
     """The truth at times (n,) that need no order, and which of them (n,) bool are known.
 
     The table has a row for each *known* time only, in the order asked for. Linear between epochs at most one second
@@ -33,12 +32,12 @@ def interpolate_truth(
     i0, i1, asked, gap_ns = i0[known], i1[known], asked[known], gap_ns[known]
     share = np.where(gap_ns > 0, (asked - truth.time_ns[i0]) / np.maximum(gap_ns, 1), 0.0)
 
-    def between(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def between(values: Float64) -> Float64:
         weight = share.reshape(-1, *[1] * (values.ndim - 1))
-        result: npt.NDArray[np.float64] = values[i0] + weight * (values[i1] - values[i0])
+        result: Float64 = values[i0] + weight * (values[i1] - values[i0])
         return result
 
-    def angle(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def angle(values: Float64) -> Float64:
         return wrap_pi_array(values[i0] + share * wrap_pi_array(values[i1] - values[i0]))
 
     table = TruthTable(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.observations import Integers
 from camber.integrity.checks.chi2_test import Floats, TestOutcomes, difference_covariance
 from camber.integrity.checks.consistency import (
     ALL_AGREE,
@@ -19,7 +20,6 @@ from camber.integrity.rules import Rules
 from camber.validation.lab.error_model import ASSUMPTIONS, Scene, inflated_covariance, largest_variance
 
 Booleans = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 
 JUDGE = "height and LiDAR"
 ALL = "all, with residuals"

@@ -14,25 +14,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from camber.formats.observations import Floats, Integers
 from camber.integrity.protection import wrong_fix_probability as wrong_fix
 from camber.integrity.protection.doppler_position import DopplerPosition
 from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
-from camber.validation.lab.baselines import BaselineDecisions
+from camber.validation.lab.baselines import BaselineDecisions, Booleans
 from camber.validation.lab.error_episodes import Episodes, episodes
 from camber.validation.lab.error_model import HEADLINE, inflated_covariance
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import wrong_fixes
 from camber.validation.lab.work_blocks import WorkBlock
 from camber.validation.statistics import clopper_pearson
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 
 MODES = ("rtk", "doppler", "sensors", "scan_match")
 ALERT_LIMITS_M = (0.29, 0.57, 1.0, 1.5, 3.0)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
+from camber.formats.observations import Floats, Integers
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.error_model import ASSUMPTIONS, Assumptions, Scene
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.observations import Floats
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, fix_shapes
 from camber.validation.lab.baselines import BaselineDecisions
 from camber.validation.lab.error_model import ASSUMPTIONS, Scene
 from camber.validation.lab.work_blocks import AddingUp, WorkBlock
-
-Floats = NDArray[np.float64]
 
 WIDENED = 3.0
 """Chosen: a sample then lies beyond 5 σ often enough that rates of 1e-6 rest on hundreds of effective events."""

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.observations import Floats
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import BaselineDecisions
@@ -35,8 +36,6 @@ from camber.validation.lab.error_model import ASSUMPTIONS, inflated_covariance, 
 from camber.validation.lab.false_alarms import WeightedRate, right_fixes, sum_of, weighted_rate
 from camber.validation.lab.missed_detection import wrong_fixes
 from camber.validation.lab.work_blocks import WorkBlock
-
-Floats = NDArray[np.float64]
 
 ALERT_LIMIT_M = 1.5
 """The default of the service (`integrity.alert_limit_m`)."""

@@ -8,19 +8,15 @@ at all harmful epochs of it. The time to alert is the longest such stretch: an e
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
+from camber.formats.observations import Integers
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, Kind, fix_shapes
-from camber.validation.lab.baselines import ALL, BASELINES, BaselineDecisions
+from camber.validation.lab.baselines import ALL, BASELINES, BaselineDecisions, Booleans
 from camber.validation.lab.error_episodes import Episodes, episodes
 from camber.validation.lab.error_model import ASSUMPTIONS, Scene
 from camber.validation.lab.work_blocks import AddingUp, WorkBlock
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 THRESHOLDS_M = (0.5, 1.0)
 EDGES_M = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf])

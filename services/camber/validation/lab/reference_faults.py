@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.observations import Floats
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import JUDGE, BaselineDecisions
 from camber.validation.lab.error_episodes import NO_FAULT, Episodes, FaultOffsets, episodes
@@ -20,7 +21,6 @@ from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import THRESHOLDS_M, wrong_fixes
 from camber.validation.lab.work_blocks import AddingUp, WorkBlock
 
-Floats = NDArray[np.float64]
 Generator = np.random.Generator
 Fault = Callable[[FixShapes, Generator], FaultOffsets]
 
