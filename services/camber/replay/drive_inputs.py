@@ -39,6 +39,14 @@ from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.motion import Motion, Ranging, Suspension
 
 M = TypeVar("M", bound=Message)
+_FIELDS = {
+    "receiver_bytes": "receiver",
+    "motion": "motion",
+    "suspension": "suspension",
+    "ranging": "ranging",
+    "sweep": "sweeps",
+}
+"""The vehicle's channels in the order of the table, and the fields that hold what arrives on them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +70,8 @@ class DriveTick:
 
     def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
         """Yield what arrives, each message with the name of its channel, in the order of the table."""
-        for name, messages in (
-            ("receiver_bytes", self.receiver),
-            ("motion", self.motion),
-            ("suspension", self.suspension),
-            ("ranging", self.ranging),
-            ("sweep", reader.read(self.sweeps)),
-        ):
-            for message in messages:
+        for name, field in _FIELDS.items():
+            for message in reader.read(self.sweeps) if field == "sweeps" else getattr(self, field):
                 yield name, message
 
 
@@ -97,14 +99,7 @@ class DriveInputs:
     @property
     def channels(self) -> tuple[str, ...]:
         """The vehicle's channels on which there is something in this drive."""
-        columns = {
-            "receiver_bytes": self.receiver,
-            "motion": self.motion,
-            "suspension": self.suspension,
-            "ranging": self.ranging,
-            "sweep": self.sweeps,
-        }
-        return tuple(name for name, arrivals in columns.items() if arrivals)
+        return tuple(name for name, field in _FIELDS.items() if getattr(self, field))
 
     def greeting_at(self, time_ns: int) -> Iterator[ReceiverBytes]:
         """Yield what the receiver sends first to a `gnss` that connects at this time."""
@@ -113,11 +108,10 @@ class DriveInputs:
 
     def ticks(self) -> Iterator[DriveTick]:
         """The drive, tick by tick."""
-        arrivals: dict[str, tuple[Arrival[Any], ...]] = {"receiver": self.receiver, "motion": self.motion}
-        arrivals |= {"suspension": self.suspension, "ranging": self.ranging}
         columns = {
-            name: _by_time((arrival.receive_time_ns, arrival.message) for arrival in column)
-            for name, column in arrivals.items()
+            field: _by_time((arrival.receive_time_ns, arrival.message) for arrival in getattr(self, field))
+            for field in _FIELDS.values()
+            if field != "sweeps"
         }
         columns["sweeps"] = _by_time((file.time_ns, file) for file in self.sweeps)
         for time_ns in self.tick_times_ns:

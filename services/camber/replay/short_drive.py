@@ -230,7 +230,7 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
         error = fix_error[k] if fixed else float_error[k]
         if state == "wrong":
             error = error + _offset_at(episodes, float(time_s[k]))
-        sigma = _FIX_SIGMA_M if fixed else _FLOAT_SIGMA_M
+        ee, nn, uu = (float(sigma_m**2) for sigma_m in (_FIX_SIGMA_M if fixed else _FLOAT_SIGMA_M))
         latitude, longitude, height = _moved(truth, k, error)
         solution = ReceiverSolution(
             time_ns=int(truth.time_ns[k]),
@@ -239,14 +239,7 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
             height_m=height,
             quality=SolutionQuality.FIX if fixed else SolutionQuality.FLOAT,
             satellites=int(satellites[k]),
-            covariance_enu_m2=(
-                float(sigma[0] ** 2),
-                0.0,
-                0.0,
-                float(sigma[1] ** 2),
-                0.0,
-                float(sigma[2] ** 2),
-            ),
+            covariance_enu_m2=(ee, 0.0, 0.0, nn, 0.0, uu),
             age_s=float(time_s[k] % 1.0),
             ratio=float(ratio[k]) if fixed else 1.0 + 0.5 * float(rng.random()),
         )

@@ -8,8 +8,6 @@ truth's is left in: the map is in the truth's frame, and the judge has to learn 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camber.formats.drive.truth_csv import TruthTable
@@ -19,7 +17,7 @@ from camber.replay.road_lines import BEYOND_END_M, OTHER_LEVEL_M, SPACING_M, WID
 from camber.replay.surrogates import correlated_noise
 from camber.replay.truth_interpolation import plane_of
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
-from camber.schemas.base import Float64
+from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import Surrogates
 from camber.simulator.random_streams import stream
 
@@ -47,17 +45,6 @@ def make_map(
     return surfaces, _to_links(links, frame, 0.5 * errors.link_deviation_m)
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """The road of one surface: samples `first` to `last`, at least one of them new."""
-
-    first: int
-    last: int
-
-    def middle(self) -> int:
-        return (self.first + self.last) // 2
-
-
 def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Float64:
     """Heights of all samples as surveyed: noise along new road; a covered sample has its first pass's."""
     new = np.flatnonzero(lines.same_as == np.arange(len(lines.same_as)))
@@ -72,11 +59,11 @@ def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Float64:
     return surveyed
 
 
-def _pieces(lines: RoadLines) -> list[_Piece]:
-    """Runs cut into pieces of at most ten metres that turn by at most thirty degrees."""
+def _pieces(lines: RoadLines) -> Int64:
+    """First and last samples (n, 2) of surfaces: runs in pieces of at most ten metres that turn by at most 30°."""
     step = np.diff(lines.east_north_m, axis=0)
     yaw_rad = np.arctan2(step[:, 1], step[:, 0])
-    pieces: list[_Piece] = []
+    pieces: list[tuple[int, int]] = []
     for begin, end in lines.runs:
         first = max(begin - 1, 0)
         stop = min(end, len(lines.height_m) - 1)
@@ -88,33 +75,32 @@ def _pieces(lines: RoadLines) -> list[_Piece]:
                 and np.cos(yaw_rad[last] - yaw_rad[first]) > np.cos(_LARGEST_TURN_RAD)
             ):
                 last += 1
-            pieces.append(_Piece(first, last))
+            pieces.append((first, last))
             first = last
-    return pieces
+    return np.array(pieces, np.int64).reshape(-1, 2)
 
 
 def _surfaces(
     lines: RoadLines,
     heights_m: Float64,
-    pieces: list[_Piece],
+    pieces: Int64,
     links: PlaneLinks,
     errors: Surrogates,
     frame: LocalFrame,
     seen_ns: int,
 ) -> RoadSurfaces:
-    n = len(pieces)
-    ends = np.array([(piece.first, piece.last) for piece in pieces])
-    chord_m = lines.east_north_m[ends[:, 1]] - lines.east_north_m[ends[:, 0]]
-    centre_m = 0.5 * (lines.east_north_m[ends[:, 1]] + lines.east_north_m[ends[:, 0]])
+    n, middle = len(pieces), pieces.sum(axis=1) // 2
+    begin_m, end_m = lines.east_north_m[pieces[:, 0]], lines.east_north_m[pieces[:, 1]]
+    chord_m, centre_m = end_m - begin_m, 0.5 * (end_m + begin_m)
     yaw_rad = np.arctan2(chord_m[:, 1], chord_m[:, 0])
     half_length_m = 0.5 * np.hypot(*chord_m.T) + BEYOND_END_M
     ground = _Ground(lines, heights_m, pieces)
-    link_id = links.link_of_sample[[piece.middle() for piece in pieces]]
+    link_id = links.link_of_sample[middle]
     grids = []
     for k in range(n):
         rows = max(2, round(2.0 * half_length_m[k] / SPACING_M) + 1)
         nodes = _grid(centre_m[k], float(yaw_rad[k]), float(half_length_m[k]), rows)
-        level_height_m = float(lines.height_m[pieces[k].middle()])
+        level_height_m = float(lines.height_m[middle[k]])
         grids.append(ground.heights(nodes, centre_m[k], level_height_m).reshape(rows, _COLUMNS))
     latitude, longitude, _ = frame.geodetic_from_east_north_array(centre_m, np.zeros(n))
     return RoadSurfaces(
@@ -150,8 +136,8 @@ def _grid(centre_m: Float64, yaw_rad: float, half_length_m: float, rows: int) ->
 class _Ground:
     """The one height of each place and level: that of the nearest piece of new track."""
 
-    def __init__(self, lines: RoadLines, heights_m: Float64, pieces: list[_Piece]) -> None:
-        first = np.concatenate([np.arange(piece.first, piece.last) for piece in pieces])
+    def __init__(self, lines: RoadLines, heights_m: Float64, pieces: Int64) -> None:
+        first = np.concatenate([np.arange(first, last) for first, last in pieces])
         self._from_m = lines.east_north_m[first]
         self._step_m = lines.east_north_m[first + 1] - self._from_m
         self._true_m = lines.height_m[first]

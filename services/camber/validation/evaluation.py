@@ -84,7 +84,8 @@ def evaluate(
         recorded.get("position", ()), truth, drive.offset_enu_m, drive.alert_limit_m
     )
     localizer_record = LocalizerRecord.from_recording(recorded)
-    epochs = _epoch_times(recorded.get("motion", ()), positions)
+    motion_ns = np.unique([item.message.time_ns for item in recorded.get("motion", ())]).astype(np.int64)
+    epochs = motion_ns if len(motion_ns) else positions.time_ns
     known = truth is not None
     summary = {
         "drive": drive.drive,
@@ -199,12 +200,6 @@ def _baselines(
         },
         "always_unknown": decision_statistics(fixes, always_unknown(fixes), truth=truth),
     }
-
-
-def _epoch_times(motion: Sequence[Recorded[Any]], positions: Positions) -> Int64:
-    """The distinct times of motion, or of positions where the drive has no motion."""
-    times = np.array([item.message.time_ns for item in motion], dtype=np.int64)
-    return np.unique(times) if len(times) else positions.time_ns
 
 
 def _alert_limit_m(positions: Positions, drive: DriveFacts) -> float | None:

@@ -44,9 +44,9 @@ class Positions:
     vpl_m: Float64
     alert_limit_m: Float64
     error_enu_m: Float64
-    vertical_alert_limit_m: Float64 | None = None
-    semi_major_99_m: Float64 | None = None
-    semi_minor_99_m: Float64 | None = None
+    vertical_alert_limit_m: Float64
+    semi_major_99_m: Float64
+    semi_minor_99_m: Float64
 
     @property
     def horizontal_error_m(self) -> Float64:
@@ -60,8 +60,6 @@ class Positions:
     def square_in_ellipse_99(self) -> Float64:
         """Squared distance (n,) in units of the 99 % ellipse: the published one, else the 99.9 % one scaled."""
         scaled = self.square_in_ellipse() / _SQUARE_AT_99
-        if self.semi_major_99_m is None or self.semi_minor_99_m is None:
-            return scaled
         published = self._square_in(self.semi_major_99_m, self.semi_minor_99_m)
         return np.where(np.isnan(self.semi_major_99_m), scaled, published)
 
@@ -71,6 +69,12 @@ class Positions:
         along = (c * east + s * north) / np.maximum(major_m, _SMALLEST_AXIS_M)
         across = (c * north - s * east) / np.maximum(minor_m, _SMALLEST_AXIS_M)
         return along**2 + across**2
+
+
+_COLUMNS = (
+    "latitude_rad", "longitude_rad", "height_m", "semi_major_999_m", "semi_minor_999_m", "orientation_rad",
+    "alert_limit_m", "vertical_alert_limit_m", "semi_major_99_m", "semi_minor_99_m",
+)  # fmt: skip
 
 
 def positions_by_epoch(
@@ -88,27 +92,20 @@ def positions_by_epoch(
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
     time_ns = np.array([message.time_ns for message in messages], dtype=np.int64)
-    latitude, longitude, height = column("latitude_rad"), column("longitude_rad"), column("height_m")
+    columns = {name: column(name) for name in _COLUMNS}
+    if alert_limit_m is not None:
+        columns["alert_limit_m"] = np.full(len(messages), alert_limit_m)
     error_m = np.full((len(messages), 3), np.nan)
     if truth is not None:
-        error_m = truth.error_enu_m(time_ns, latitude, longitude, height, offset_enu_m=offset_enu_m)
-    limit = column("alert_limit_m") if alert_limit_m is None else np.full(len(messages), alert_limit_m)
+        place = (columns["latitude_rad"], columns["longitude_rad"], columns["height_m"])
+        error_m = truth.error_enu_m(time_ns, *place, offset_enu_m=offset_enu_m)
     return Positions(
         time_ns=time_ns,
         source=np.array([message.source for message in messages], dtype=np.str_),
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        height_m=height,
-        semi_major_999_m=column("semi_major_999_m"),
-        semi_minor_999_m=column("semi_minor_999_m"),
-        orientation_rad=column("orientation_rad"),
         hpl_m=column("horizontal_protection_level_m"),
         vpl_m=column("vertical_protection_level_m"),
-        alert_limit_m=limit,
         error_enu_m=error_m,
-        vertical_alert_limit_m=column("vertical_alert_limit_m"),
-        semi_major_99_m=column("semi_major_99_m"),
-        semi_minor_99_m=column("semi_minor_99_m"),
+        **columns,
     )
 
 
@@ -202,9 +199,7 @@ def _charts(positions: Positions, rows: Flags) -> dict[str, dict[str, int]]:
     horizontal, vertical = positions.horizontal_error_m, np.abs(positions.error_enu_m[:, 2])
     limit = positions.alert_limit_m
     vertical_limit = positions.vertical_alert_limit_m
-    vertical_limit = (
-        limit if vertical_limit is None else np.where(np.isnan(vertical_limit), limit, vertical_limit)
-    )
+    vertical_limit = np.where(np.isnan(vertical_limit), limit, vertical_limit)
     levels = {
         "radius_999": (positions.semi_major_999_m, horizontal, limit),
         "hpl": (positions.hpl_m, horizontal, limit),

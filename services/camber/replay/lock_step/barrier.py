@@ -53,11 +53,6 @@ class Barrier:
         self._waiting = {channel.name: deque() for channel in self.inputs}
         self._next = {channel.name: 0 for channel in self.inputs}
 
-    @property
-    def producers(self) -> tuple[str, ...]:
-        """The services whose *done* this one waits for."""
-        return producers_for(self.service)
-
     def add_message(self, name: str, received: Received[Any]) -> None:
         """A message has arrived on an input channel."""
         self._waiting[name].append(received)

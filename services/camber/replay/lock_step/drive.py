@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -50,20 +51,18 @@ def replay_through_processes(
     )
     sweeps = SweepReader()
     with Feeder(settings, inputs.channels, observer=recorder.add_bytes) as feeder:
-        supervisor = _Supervisor(processes)
         try:
             processes.start()
-            supervisor.start()
-            feeder.assemble(
-                SERVICES, time_ns=inputs.tick_times_ns[0], meanwhile=processes.raise_refused_settings
-            )
-            began = time.monotonic()
-            for time_ns in _feed(inputs, feeder, sweeps, processes, speed=speed):
-                recorder.tick_done(time_ns)
-                progress()
-            wall_s = time.monotonic() - began
+            with _supervised(processes):
+                feeder.assemble(
+                    SERVICES, time_ns=inputs.tick_times_ns[0], meanwhile=processes.raise_refused_settings
+                )
+                began = time.monotonic()
+                for time_ns in _feed(inputs, feeder, sweeps, processes, speed=speed):
+                    recorder.tick_done(time_ns)
+                    progress()
+                wall_s = time.monotonic() - began
         finally:
-            supervisor.stop()
             processes.stop()
     return wall_s, (*sweeps.notes(), *processes.notes)
 
@@ -116,22 +115,19 @@ def _free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-class _Supervisor:
+@contextmanager
+def _supervised(processes: Processes) -> Iterator[None]:
     """Restarts processes that have ended, while the feeder waits for them."""
+    stop = threading.Event()
 
-    def __init__(self, processes: Processes) -> None:
-        self._processes = processes
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+    def supervise() -> None:
+        while not stop.wait(_SUPERVISE_EVERY_S):
+            processes.restart_ended()
 
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stop.wait(_SUPERVISE_EVERY_S):
-            self._processes.restart_ended()
+    thread = threading.Thread(target=supervise, name="supervisor", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

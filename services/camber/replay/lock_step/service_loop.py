@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Set
 from typing import Any, NamedTuple
 
-from camber.replay.lock_step.barrier import Barrier
+from camber.replay.lock_step.barrier import Barrier, producers_for
 from camber.runtime.bus import Arrived, Bus
 from camber.runtime.clock import ReplayClock
 from camber.runtime.run import Loop
@@ -103,7 +103,7 @@ class LockStepLoop(Loop):
         """Subscribe to all inputs, and then to the barrier's keys: a producer seen there reaches the inputs too."""
         super().subscribe()
         self.bus.subscribe(BY_NAME["tick"])
-        for producer in self._barrier.producers:
+        for producer in producers_for(self.service.NAME):
             self.bus.subscribe(BY_NAME["done"], of=producer)
 
     def work(self) -> None:

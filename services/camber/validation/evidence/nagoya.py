@@ -112,11 +112,8 @@ def total(results: Sequence[dict[str, Any]], judge: str) -> dict[str, Any]:
     return {
         "wrong": sum(result["wrong"] for result in results),
         "confirmed_wrong": sum(item["confirmed_wrong"] or 0 for item in figures),
-        "right": right,
         "right_kept": kept / right if right else None,
         "right_erroneous": sum(item["right_erroneous"] for item in figures),
         "episodes": max(item["episodes"] for item in figures),
         "missed": sum(item["missed"] for item in figures),
-        "cautious": max(item["cautious"] for item in figures),
-        "seeds_with_a_miss": sum(item["missed"] > 0 for item in figures),
     }

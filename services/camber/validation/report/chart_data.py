@@ -27,12 +27,11 @@ def chart_data(evaluation: Evaluation) -> dict[str, Any]:
     rows, positions, summary = evaluation.rows, evaluation.positions, evaluation.summary
     start_ns = start_ns_of(evaluation)
     times_ns = np.array([row.time_ns for row in rows], dtype=np.int64)
-    latitude, longitude, height = _row_positions(evaluation, times_ns)
-    frame = _frame(latitude, longitude, height)
-    row_plane, position_plane = (
-        _plane(frame, latitude, longitude, height),
-        _plane(frame, positions.latitude_rad, positions.longitude_rad, positions.height_m),
-    )
+    published = np.column_stack((positions.latitude_rad, positions.longitude_rad, positions.height_m))
+    places = _row_places(evaluation, times_ns, published)
+    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    frame = LocalFrame(*places[known[0]].tolist()) if len(known) else None
+    row_plane, position_plane = _plane(frame, places), _plane(frame, published)
     verdict_names = [*CONFIRMED_VERDICTS, "erroneous", "unknown", "no_verdict"]
     reasons = sorted({row.verdict.reason for row in rows if row.verdict is not None})
     sources = sorted(set(positions.source.tolist()))
@@ -88,39 +87,26 @@ def _localizer(localizer: LocalizerRecord, start_ns: int) -> dict[str, Any]:
     }
 
 
-def _row_positions(evaluation: Evaluation, times_ns: Int64) -> tuple[Float64, Float64, Float64]:
-    """Position of each row on the track: the candidate fix, else the published position of that epoch."""
-    positions = evaluation.positions
-    columns = (positions.latitude_rad, positions.longitude_rad, positions.height_m)
-    position = np.full((len(times_ns), 3), np.nan)
-    if len(positions.time_ns):
-        at = np.searchsorted(positions.time_ns, times_ns).clip(0, len(positions.time_ns) - 1)
-        same = positions.time_ns[at] == times_ns
-        position[same] = np.column_stack(columns)[at[same]]
+def _row_places(evaluation: Evaluation, times_ns: Int64, published: Float64) -> Float64:
+    """Place (n, 3) of each row on the track: the candidate fix, else the published position of that epoch."""
+    position_ns, places = evaluation.positions.time_ns, np.full((len(times_ns), 3), np.nan)
+    if len(position_ns):
+        at = np.searchsorted(position_ns, times_ns).clip(0, len(position_ns) - 1)
+        same = position_ns[at] == times_ns
+        places[same] = published[at[same]]
     for i, row in enumerate(evaluation.rows):
         fix = row.fix
-        if fix is not None and (row.tentative or np.isnan(position[i, 0])):
-            position[i] = fix.latitude_rad, fix.longitude_rad, fix.height_m
-    return position[:, 0], position[:, 1], position[:, 2]
+        if fix is not None and (row.tentative or np.isnan(places[i, 0])):
+            places[i] = fix.latitude_rad, fix.longitude_rad, fix.height_m
+    return places
 
 
-def _frame(latitude_rad: Float64, longitude_rad: Float64, height_m: Float64) -> LocalFrame | None:
-    known = np.flatnonzero(np.isfinite(latitude_rad) & np.isfinite(longitude_rad) & np.isfinite(height_m))
-    if not len(known):
-        return None
-    first = known[0]
-    return LocalFrame(float(latitude_rad[first]), float(longitude_rad[first]), float(height_m[first]))
-
-
-def _plane(
-    frame: LocalFrame | None, latitude_rad: Float64, longitude_rad: Float64, height_m: Float64
-) -> Float64:
-    plane = np.full((len(latitude_rad), 2), np.nan)
-    known = np.isfinite(latitude_rad) & np.isfinite(longitude_rad) & np.isfinite(height_m)
+def _plane(frame: LocalFrame | None, places: Float64) -> Float64:
+    """East and north (n, 2) of latitudes, longitudes, heights (n, 3); NaN where one of them is."""
+    plane = np.full((len(places), 2), np.nan)
+    known = np.isfinite(places).all(axis=1)
     if frame is not None and known.any():
-        plane[known] = frame.east_north_from_geodetic_array(
-            latitude_rad[known], longitude_rad[known], height_m[known]
-        )
+        plane[known] = frame.east_north_from_geodetic_array(*places[known].T)
     return plane
 
 

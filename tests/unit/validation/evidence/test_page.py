@@ -151,7 +151,7 @@ def test_all_seeds_within_the_limits_meet_what_is_asked_for() -> None:
 def test_the_figures_of_a_judge_are_summed_over_seeds_but_episodes_are_the_recordings() -> None:
     summed = total([nagoya(1, wrong_at_s=(1.0,)), nagoya(2)], "camber")
     assert (summed["wrong"], summed["confirmed_wrong"], summed["episodes"]) == (228, 1, 30)
-    assert summed["seeds_with_a_miss"] == 1
+    assert summed["missed"] == 1
 
 
 def test_errors_are_in_a_row_with_those_of_the_source_and_modes_without_epochs_say_none() -> None:
