@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
+    Ephemeris,
+    ObservationEpoch,
+    carrier_hz,
+    signal_name,
+)
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.position.engine_settings import EngineSettings
@@ -88,3 +94,19 @@ def some_rows(epoch: ObservationEpoch, rows: NDArray[np.bool_] | NDArray[np.int6
 def seconds_later(epoch: ObservationEpoch, seconds: float) -> ObservationEpoch:
     """The same with another time tag."""
     return replace(epoch, time_ns=epoch.time_ns + round(seconds * NS_PER_SECOND))
+
+
+def wavelengths_m(epoch: ObservationEpoch) -> NDArray[np.float64]:
+    """Of each row (n,)."""
+    rows = zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
+    return np.array([SPEED_OF_LIGHT_M_S / carrier_hz(chr(s >> 8), signal_name(g)) for s, g in rows])
+
+
+def clock_ahead(epoch: ObservationEpoch, seconds: float) -> ObservationEpoch:
+    """Of a receiver whose clock is ahead: a later time tag, longer ranges by code and phase alike."""
+    ahead_m = seconds * SPEED_OF_LIGHT_M_S
+    return replace(
+        seconds_later(epoch, seconds),
+        pseudorange_m=epoch.pseudorange_m + ahead_m,
+        carrier_phase_cycles=epoch.carrier_phase_cycles + ahead_m / wavelengths_m(epoch),
+    )

@@ -21,7 +21,7 @@ from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
-from camber.gnss.service import SERVICE, GnssService
+from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
@@ -312,7 +312,3 @@ def test_a_source_that_is_none_is_refused_before_anything_starts() -> None:
         ConfigError, match=r"^source: 'tcp:host': expected file:PATH, tcp:HOST:PORT or serial:"
     ):
         load(GnssSettings, ["--source", "tcp:host"], prog="camber gnss")
-
-
-def test_the_service_is_what_the_command_line_runs() -> None:
-    assert SERVICE is GnssService

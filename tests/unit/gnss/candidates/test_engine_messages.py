@@ -80,10 +80,6 @@ def rotated(covariance: np.ndarray) -> np.ndarray:
     return axes @ covariance @ axes.T
 
 
-def test_the_made_up_epoch_is_fixed() -> None:
-    assert SOLVED.quality == "fixed"
-
-
 def test_every_field_of_a_fixed_epoch_is_published() -> None:
     fix = fix_from_solution(solution(), "JGD2011", "rtcm-7")
     assert fix is not None

@@ -72,12 +72,6 @@ def test_every_quality_is_published(quality: SolutionQuality, published: str) ->
     assert fix_from(replace(SOLUTION, quality=quality), "WGS84").quality == published
 
 
-@pytest.mark.parametrize("quality", SolutionQuality)
-def test_only_a_fix_is_called_fixed(quality: SolutionQuality) -> None:
-    published = fix_from(replace(SOLUTION, quality=quality), "WGS84").quality
-    assert (published == "fixed") is (quality is SolutionQuality.FIX)
-
-
 def test_epochs_of_one_receiver_have_different_ids_which_a_restart_does_not_change() -> None:
     ids = [fix_from(replace(SOLUTION, time_ns=TIME_NS + n * 10_000_000), "W").fix_id for n in range(100)]
     assert len(set(ids)) == 100

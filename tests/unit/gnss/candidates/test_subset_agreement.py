@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from typing import Any
 
@@ -139,7 +138,3 @@ def test_with_a_covariance_that_is_none_nothing_agrees(covariance_m2, monkeypatc
     assert agreement_with(monkeypatch, other(0.01 * MOVED_M, covariance_m2)) == "disagree"
     assert agreement_with(monkeypatch, other(0.01 * MOVED_M, covariance_m2, 0.9)) == "unknown"
     assert agreement_with(monkeypatch, other(np.full(3, np.nan), 1e-4 * np.eye(3), 0.9)) == "unknown"
-
-
-def test_no_map_and_no_height_can_be_given():
-    assert list(inspect.signature(subset_agreement).parameters) == ["solution", "criteria"]

@@ -19,7 +19,7 @@ from camber.gnss.observations.single_differences import (
     variance_m2,
     without_clocks,
 )
-from support.engine_drives import base_ecef_m, open_sky_drive
+from support.engine_drives import base_ecef_m, clock_ahead, open_sky_drive
 from support.single_difference_rows import made_up_rows
 
 ALL = np.ones(GROUPS, np.bool_)
@@ -143,13 +143,8 @@ def test_a_satellites_clock_that_runs_fast_between_base_and_rover_is_taken_off()
 def test_the_rovers_clock_is_a_clock_and_nothing_else():
     """A receiver a millisecond late in its time tags measures longer ranges, to where satellites were."""
     d = drive()
-    rover = d.rover[0]
-    late = replace(
-        rover,
-        time_ns=rover.time_ns + 1_000_000,
-        pseudorange_m=rover.pseudorange_m + 1e-3 * SPEED_OF_LIGHT_M_S,
-    )
-    before, after = (rows_of(r, d.base[0], d.store, d.true_ecef_m[0]) for r in (rover, late))
+    both = d.rover[0], clock_ahead(d.rover[0], 1e-3)
+    before, after = (rows_of(r, d.base[0], d.store, d.true_ecef_m[0]) for r in both)
     np.testing.assert_allclose(after.code_m - before.code_m, 1e-3 * SPEED_OF_LIGHT_M_S, atol=1e-5)
     np.testing.assert_allclose(after.direction, before.direction, atol=1e-9)
 

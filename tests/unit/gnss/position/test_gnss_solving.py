@@ -11,13 +11,7 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
-from camber.formats.observations import (
-    SPEED_OF_LIGHT_M_S,
-    ObservationEpoch,
-    carrier_hz,
-    satellite_name,
-    signal_name,
-)
+from camber.formats.observations import ObservationEpoch, satellite_name, signal_number
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.rtcm.writer import format_reference_station
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
@@ -36,14 +30,20 @@ from camber.schemas.gnss import (
     SatelliteVelocity,
 )
 from camber.schemas.motion import Motion
+from support.engine_drives import clock_ahead, some_rows
 from support.gnss_bus import GnssBus
 from support.raw_drive import RawDrive
 
 NS = 1_000_000_000
 RIGHT_M = 0.05
 EPOCHS = 12
+NONE = np.zeros(0, np.int64)
 Sent = tuple[str, str, bytes]
 Tick = Callable[[int], Iterable[Sent]]
+
+
+def received(time_ns: int, data: bytes, **of: Any) -> ReceiverBytes:
+    return ReceiverBytes(time_ns=time_ns, payload=np.frombuffer(data, np.uint8), **of)
 
 
 class Run:
@@ -62,20 +62,16 @@ class Run:
         self.bus.time_ns = drive.times_ns[0] - NS
         self.service = GnssService(GnssSettings(positions="engine", **settings), cast(Bus, self.bus))
         self.drive = drive
-        handlers = self.service.handlers()
         for k in range(epochs):
-            self.bus.time_ns = drive.times_ns[k] + delay_ns
-            for stream, protocol, data in tick(k):
-                handlers["receiver_bytes"](
-                    ReceiverBytes(
-                        time_ns=self.bus.time_ns,
-                        stream=cast(Any, stream),
-                        protocol=cast(Any, protocol),
-                        payload=np.frombuffer(data, np.uint8),
-                    )
-                )
-            handlers["motion"](Motion(time_ns=self.bus.time_ns, wheel_speed_m_s=3.0, yaw_rate_rad_s=0.0))
-            self.service.advance(self.bus.time_ns)
+            self.epoch(drive.times_ns[k] + delay_ns, tick(k))
+
+    def epoch(self, now_ns: int, sent: Iterable[Sent]) -> None:
+        handlers = self.service.handlers()
+        self.bus.time_ns = now_ns
+        for stream, protocol, data in sent:
+            handlers["receiver_bytes"](received(now_ns, data, stream=stream, protocol=protocol))
+        handlers["motion"](Motion(time_ns=now_ns, wheel_speed_m_s=3.0, yaw_rate_rad_s=0.0))
+        self.service.advance(now_ns)
 
     def fixed(self) -> list[Fix]:
         """All that calls itself fixed; every one of them must be right."""
@@ -89,7 +85,20 @@ class Run:
 
 def streams(drive: RawDrive) -> Tick:
     """UBX of the rover, RTCM of the base, which has the ephemerides."""
-    return lambda k: [("rover", "ubx", drive.ubx_parts[k]), ("base", "rtcm", drive.rtcm_parts[k])]
+    return lambda k: [rover(drive.ubx_parts[k]), base(drive.rtcm_parts[k])]
+
+
+def rover(data: bytes) -> Sent:
+    return "rover", "ubx", data
+
+
+def base(data: bytes) -> Sent:
+    return "base", "rtcm", data
+
+
+def base_without(drive: RawDrive, numbers: set[int]) -> Tick:
+    """As `streams`, and the base leaves some messages out."""
+    return lambda k: [base(without(drive, k, numbers)), rover(drive.ubx_parts[k])]
 
 
 def files(drive: RawDrive) -> Tick:
@@ -111,15 +120,12 @@ def measured(drive: RawDrive, k: int) -> ObservationEpoch:
 
 def with_rover(drive: RawDrive, change: Callable[[int, ObservationEpoch], ObservationEpoch]) -> Tick:
     """As `streams`, and the receiver measures something else."""
-    return lambda k: [
-        ("base", "rtcm", drive.rtcm_parts[k]),
-        ("rover", "ubx", format_raw_measurements(change(k, measured(drive, k)))),
-    ]
+    return with_bytes(drive, lambda k: format_raw_measurements(change(k, measured(drive, k))))
 
 
-def rows_of(epoch: ObservationEpoch, rows: Any) -> ObservationEpoch:
-    columns = {name: getattr(epoch, name)[rows] for name in ObservationEpoch.__slots__ if name != "time_ns"}
-    return replace(epoch, **columns)
+def with_bytes(drive: RawDrive, sent: Callable[[int], bytes]) -> Tick:
+    """As `streams`, and the receiver sends something else."""
+    return lambda k: [base(drive.rtcm_parts[k]), rover(sent(k))]
 
 
 # -- right input -----------------------------------------------------------------------------------------------------
@@ -190,8 +196,8 @@ def test_a_base_position_that_is_configured_counts_whatever_the_stream_says(raw_
     true = station(raw_drive)
     lies = format_reference_station((true[0] + 500.0, true[1], true[2]), station_id=1)
     tick: Tick = lambda k: [  # noqa: E731
-        ("rover", "ubx", raw_drive.ubx_parts[k]),
-        ("base", "rtcm", lies + without(raw_drive, k, {1005}) + lies),
+        rover(raw_drive.ubx_parts[k]),
+        base(lies + without(raw_drive, k, {1005}) + lies),
     ]
     assert len(Run(raw_drive, tick, base_ecef_m=true).fixed()) == EPOCHS
     assert Run(raw_drive, tick).fixed() == []
@@ -245,7 +251,7 @@ def test_damaged_and_truncated_streams_cost_epochs_and_make_no_fix_wrong(
 def test_wrong_checksums_are_counted_and_leave_the_base_silent(raw_drive: RawDrive) -> None:
     def tick(k: int) -> Iterable[Sent]:
         frames = [bytes([*frame[:-1], frame[-1] ^ 1]) for frame in raw_drive.frames(k)]
-        return [("base", "rtcm", b"".join(frames)), ("rover", "ubx", raw_drive.ubx_parts[k])]
+        return [base(b"".join(frames)), rover(raw_drive.ubx_parts[k])]
 
     run = Run(raw_drive, tick)
     assert run.fixed() == []
@@ -257,7 +263,7 @@ def test_wrong_checksums_are_counted_and_leave_the_base_silent(raw_drive: RawDri
 
 
 def test_several_protocols_on_a_port_configured_for_one_are_named(raw_drive: RawDrive) -> None:
-    run = Run(raw_drive, lambda k: [("rover", "ubx", raw_drive.rtcm_parts[k] + raw_drive.ubx_parts[k])])
+    run = Run(raw_drive, lambda k: [rover(raw_drive.rtcm_parts[k] + raw_drive.ubx_parts[k])])
     assert run.fixed() == []
     assert run.bus.named()["damaged_input"].endswith("expected ubx alone (several on one port: mixed)")
 
@@ -278,7 +284,7 @@ def test_a_receiver_whose_week_rolled_over_is_dated_right(raw_drive: RawDrive) -
         struct.pack_into("<H", raw, 8, week - 1024)
         return ubx_frame(0x02, 0x15, bytes(raw))
 
-    run = Run(raw_drive, lambda k: [("base", "rtcm", raw_drive.rtcm_parts[k]), ("rover", "ubx", rolled(k))])
+    run = Run(raw_drive, with_bytes(raw_drive, rolled))
     assert [fix.time_ns for fix in run.fixed()] == raw_drive.times_ns[:EPOCHS]
 
 
@@ -294,32 +300,15 @@ def test_a_clock_that_lacks_the_leap_seconds_makes_all_epochs_come_from_the_futu
 def test_a_clock_that_was_set_by_years_has_the_streams_read_anew(raw_drive: RawDrive) -> None:
     run = Run(raw_drive, streams(raw_drive), epochs=3, delay_ns=-(10 * 365 + 3) * 86_400 * NS)
     assert run.bus.fixes == []
-    run.bus.time_ns = raw_drive.times_ns[0]
     for k in range(3, 3 + EPOCHS):
-        run.bus.time_ns = raw_drive.times_ns[k]
-        for stream, protocol, data in streams(raw_drive)(k):
-            whole = data if k > 3 or stream == "rover" else raw_drive.rtcm_parts[0] + data
-            run.service.handlers()["receiver_bytes"](
-                ReceiverBytes(
-                    time_ns=run.bus.time_ns,
-                    stream=cast(Any, stream),
-                    protocol=cast(Any, protocol),
-                    payload=np.frombuffer(whole, np.uint8),
-                )
-            )
-        run.service.advance(run.bus.time_ns)
+        first = raw_drive.rtcm_parts[0] if k == 3 else b""
+        sent = [rover(raw_drive.ubx_parts[k]), base(first + raw_drive.rtcm_parts[k])]
+        run.epoch(raw_drive.times_ns[k], sent)
     assert len(run.fixed()) >= EPOCHS - 3
 
 
 def test_without_ephemerides_the_satellites_are_named(raw_drive: RawDrive) -> None:
-    numbers = {1019, 1042, 1044, 1045, 1046}
-    run = Run(
-        raw_drive,
-        lambda k: [
-            ("base", "rtcm", without(raw_drive, k, numbers)),
-            ("rover", "ubx", raw_drive.ubx_parts[k]),
-        ],
-    )
+    run = Run(raw_drive, base_without(raw_drive, {1019, 1042, 1044, 1045, 1046}))
     assert run.bus.fixes == []
     lacking = run.bus.named()["ephemeris_missing"].removeprefix(f"{EPOCHS} epochs; ")
     satellites = sorted({satellite_name(int(n)) for n in measured(raw_drive, EPOCHS - 1).satellite})
@@ -329,13 +318,7 @@ def test_without_ephemerides_the_satellites_are_named(raw_drive: RawDrive) -> No
 
 
 def test_with_some_ephemerides_the_fix_is_of_those_satellites(raw_drive: RawDrive) -> None:
-    run = Run(
-        raw_drive,
-        lambda k: [
-            ("base", "rtcm", without(raw_drive, k, {1042, 1045, 1046})),
-            ("rover", "ubx", raw_drive.ubx_parts[k]),
-        ],
-    )
+    run = Run(raw_drive, base_without(raw_drive, {1042, 1045, 1046}))
     assert len(run.fixed()) > EPOCHS // 2
     assert run.bus.fixes[0].satellites is not None
     assert run.bus.fixes[0].satellites < len(set(measured(raw_drive, 0).satellite.tolist()))
@@ -359,10 +342,7 @@ def test_a_base_that_falls_silent_makes_its_corrections_old_and_then_none(raw_dr
 def test_a_base_that_never_speaks_leaves_single_points(raw_drive: RawDrive) -> None:
     run = Run(
         raw_drive,
-        lambda k: [
-            ("ephemerides", "rtcm", raw_drive.rtcm_parts[k]),
-            ("rover", "ubx", raw_drive.ubx_parts[k]),
-        ],
+        lambda k: [("ephemerides", "rtcm", raw_drive.rtcm_parts[k]), rover(raw_drive.ubx_parts[k])],
     )
     assert run.bus.qualities() == ["single"] * EPOCHS
     assert run.bus.counters["not_fixed.no_base"] == EPOCHS
@@ -370,10 +350,7 @@ def test_a_base_that_never_speaks_leaves_single_points(raw_drive: RawDrive) -> N
 
 
 def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> None:
-    run = Run(
-        raw_drive,
-        lambda k: [("base", "rtcm", without(raw_drive, k, {1005})), ("rover", "ubx", raw_drive.ubx_parts[k])],
-    )
+    run = Run(raw_drive, base_without(raw_drive, {1005}))
     assert run.bus.qualities() == ["single"] * EPOCHS
     text = run.bus.named()["base_position_missing"]
     assert text == f"{EPOCHS} epochs; expected 1005, 1006 or a RINEX header in its stream, or base_ecef_m"
@@ -393,24 +370,7 @@ def test_a_base_with_another_stations_coordinate_is_named_with_how_far_it_is_off
 
 
 def test_a_receivers_clock_that_jumps_by_milliseconds_moves_no_fix(raw_drive: RawDrive) -> None:
-    def jumped(k: int, epoch: ObservationEpoch) -> ObservationEpoch:
-        if k < 6:
-            return epoch
-        later_m = 1e-3 * SPEED_OF_LIGHT_M_S
-        hz = np.array(
-            [
-                carrier_hz(satellite_name(s)[0], signal_name(g))
-                for s, g in zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
-            ]
-        )
-        return replace(
-            epoch,
-            time_ns=epoch.time_ns + 1_000_000,
-            pseudorange_m=epoch.pseudorange_m + later_m,
-            carrier_phase_cycles=epoch.carrier_phase_cycles + later_m * hz / SPEED_OF_LIGHT_M_S,
-        )
-
-    run = Run(raw_drive, with_rover(raw_drive, jumped))
+    run = Run(raw_drive, with_rover(raw_drive, lambda k, epoch: clock_ahead(epoch, 1e-3 * (k >= 6))))
     assert len(run.fixed()) == EPOCHS
     assert run.bus.named().keys() == {"rover_clock_step"}
 
@@ -421,9 +381,7 @@ def test_a_satellite_that_is_there_twice_counts_once(raw_drive: RawDrive) -> Non
         raw[11] *= 2
         return ubx_frame(0x02, 0x15, bytes(raw + raw[16:]))
 
-    twice = Run(
-        raw_drive, lambda k: [("base", "rtcm", raw_drive.rtcm_parts[k]), ("rover", "ubx", doubled(k))]
-    )
+    twice = Run(raw_drive, with_bytes(raw_drive, doubled))
     once = Run(raw_drive, with_rover(raw_drive, lambda k, epoch: epoch))
     assert len(twice.fixed()) == EPOCHS
     assert [fix.height_m for fix in twice.bus.fixes] == [fix.height_m for fix in once.bus.fixes]
@@ -432,7 +390,9 @@ def test_a_satellite_that_is_there_twice_counts_once(raw_drive: RawDrive) -> Non
 
 
 def test_an_epoch_without_satellites_has_no_position_and_the_next_one_has(raw_drive: RawDrive) -> None:
-    run = Run(raw_drive, with_rover(raw_drive, lambda k, epoch: rows_of(epoch, []) if k in (3, 4) else epoch))
+    run = Run(
+        raw_drive, with_rover(raw_drive, lambda k, epoch: some_rows(epoch, NONE) if k in (3, 4) else epoch)
+    )
     assert len(run.fixed()) == EPOCHS - 2
     assert run.bus.counters["epochs.none"] == 2
     assert run.service.healthy()
@@ -445,21 +405,16 @@ def test_sixty_satellites_of_which_most_are_made_up_move_no_fix(raw_drive: RawDr
         seen = set(epoch.satellite.tolist())
         more = [n for system in "GEC" for n in range(ord(system) * 256 + 1, ord(system) * 256 + 33)]
         more = [n for n in more if n not in seen][: 60 - len(seen)]
-        count = len(more)
-        made_up = {
-            "satellite": np.array(more, np.int64),
-            "signal": np.full(count, ord("1") * 256 + ord("C"), np.int64),
-            "pseudorange_m": rng.uniform(2e7, 2.6e7, count),
-            "carrier_phase_cycles": rng.uniform(1e8, 1.4e8, count),
-            "doppler_hz": rng.uniform(-4e3, 4e3, count),
-            "cn0_dbhz": np.full(count, 45.0),
-            "lock_time_s": np.full(count, 10.0),
-            "loss_of_lock": np.zeros(count, np.bool_),
-            "half_cycle": np.zeros(count, np.bool_),
-        }
-        made_up["signal"][made_up["satellite"] >> 8 == ord("C")] = ord("2") * 256 + ord("I")
+        signals = [signal_number("2I" if n >> 8 == ord("C") else "1C") for n in more]
+        rows = np.arange(epoch.satellite.size)
         return replace(
-            epoch, **{name: np.concatenate([getattr(epoch, name), new]) for name, new in made_up.items()}
+            some_rows(epoch, np.append(rows, np.zeros(len(more), np.int64))),
+            satellite=np.append(epoch.satellite, more),
+            signal=np.append(epoch.signal, signals),
+            pseudorange_m=np.append(epoch.pseudorange_m, rng.uniform(2e7, 2.6e7, len(more))),
+            carrier_phase_cycles=np.append(epoch.carrier_phase_cycles, rng.uniform(1e8, 1.4e8, len(more))),
+            doppler_hz=np.append(epoch.doppler_hz, rng.uniform(-4e3, 4e3, len(more))),
+            cn0_dbhz=np.append(epoch.cn0_dbhz, np.full(len(more), 45.0)),
         )
 
     run = Run(raw_drive, with_rover(raw_drive, crowded))
@@ -471,10 +426,7 @@ def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive
     order = [0, 1, 1, 3, 2, 4]
     run = Run(
         raw_drive,
-        lambda k: [
-            ("base", "rtcm", raw_drive.rtcm_parts[order[k]]),
-            ("rover", "ubx", raw_drive.ubx_parts[order[k]]),
-        ],
+        lambda k: streams(raw_drive)(order[k]),
         epochs=6,
         delay_ns=NS // 5,
     )
@@ -494,8 +446,7 @@ def test_a_receivers_positions_come_from_the_same_stream_and_nothing_is_solved(
     assert service.handlers().keys() == {"receiver_bytes"}
     for k in range(EPOCHS):
         bus.time_ns = raw_drive.times_ns[k] + NS // 20
-        payload = np.frombuffer(raw_drive.ubx_parts[k], np.uint8)
-        message = ReceiverBytes(time_ns=bus.time_ns, protocol=protocol, payload=payload)
+        message = received(bus.time_ns, raw_drive.ubx_parts[k], protocol=protocol)
         service.handlers()["receiver_bytes"](message)
         service.advance(bus.time_ns)
     # Without NAV-EOE an epoch is whole when the next one begins.

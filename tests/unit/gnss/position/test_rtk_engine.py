@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch, carrier_hz, signal_name
+from camber.formats.observations import ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
@@ -16,6 +16,7 @@ from support.canyon_statistics import FIRST_NS
 from support.engine_drives import (
     Drive,
     base_ecef_m,
+    clock_ahead,
     engine_of,
     open_sky_drive,
     seconds_later,
@@ -41,11 +42,6 @@ def one(rover: ObservationEpoch, base: ObservationEpoch, engine: Engine | None =
     engine = engine or engine_of(drive(), ALONE)
     engine.add_base(base)
     return engine.solve(rover)
-
-
-def wavelengths_m(epoch: ObservationEpoch) -> np.ndarray:
-    rows = zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
-    return np.array([SPEED_OF_LIGHT_M_S / carrier_hz(chr(s >> 8), signal_name(g)) for s, g in rows])
 
 
 def is_honest(solution: Solution, truth_m: np.ndarray) -> bool:
@@ -129,37 +125,18 @@ def test_whole_cycles_on_any_phase_change_nothing(cycles):
 
 @pytest.mark.parametrize("clock_ms", [0.4, -1.0, 17.0, -40.0])
 def test_a_receivers_clock_error_moves_its_time_and_nothing_else(clock_ms):
-    """A clock that is ahead tags the epoch later and measures longer ranges, codes and phases alike."""
     rover, base = drive().rover[2], drive().base[2]
-    ahead_m = clock_ms * 1e-3 * SPEED_OF_LIGHT_M_S
-    late = replace(
-        seconds_later(rover, clock_ms * 1e-3),
-        pseudorange_m=rover.pseudorange_m + ahead_m,
-        carrier_phase_cycles=rover.carrier_phase_cycles + ahead_m / wavelengths_m(rover),
-    )
-    before, after = one(rover, base), one(late, base)
+    before, after = one(rover, base), one(clock_ahead(rover, clock_ms * 1e-3), base)
     assert (before.quality, after.quality) == ("fixed", "fixed")
     np.testing.assert_allclose(after.position_ecef_m, before.position_ecef_m, atol=2e-3)
 
 
 def test_a_step_of_the_receivers_clock_is_reported_and_breaks_nothing():
-    d = drive()
-    step_m = 1e-3 * SPEED_OF_LIGHT_M_S
-    engine = engine_of(d)
-    solved_epochs = []
-    for k, (rover, base) in enumerate(zip(d.rover, d.base, strict=True)):
-        if k >= 4:
-            cycles = step_m / wavelengths_m(rover)
-            rover = replace(
-                rover,
-                pseudorange_m=rover.pseudorange_m + step_m,
-                carrier_phase_cycles=rover.carrier_phase_cycles + cycles,
-                time_ns=rover.time_ns + 1_000_000,
-            )
-        engine.add_base(base)
-        solved_epochs.append(engine.solve(rover))
-    assert [s.quality for s in solved_epochs] == ["fixed"] * len(solved_epochs)
-    assert [s.continuity for s in solved_epochs][1:] == ["continuous"] * (len(solved_epochs) - 1)
+    engine = engine_of(drive())
+    stepped = [clock_ahead(rover, 1e-3 * (k >= 4)) for k, rover in enumerate(drive().rover)]
+    solutions = solved(replace(drive(), rover=stepped), engine)
+    assert [s.quality for s in solutions] == ["fixed"] * 8
+    assert [s.continuity for s in solutions][1:] == ["continuous"] * 7
     assert engine.warnings == {"rover_clock_step": 1}
 
 
@@ -242,17 +219,9 @@ def test_without_ephemerides_there_is_nothing_and_it_says_which():
 def test_epochs_that_come_late_or_twice_are_refused_and_disturb_nothing():
     d = drive()
     engine = engine_of(d)
-    order = [0, 1, 2, 1, 3, 3, 4]
-    solved_epochs = []
-    for k in order:
-        engine.add_base(d.base[k])
-        solved_epochs.append(engine.solve(d.rover[k]))
-    assert [s.reason for s in solved_epochs] == ["resolved"] * 3 + [
-        "out_of_order",
-        "resolved",
-        "out_of_order",
-        "resolved",
-    ]
+    solved_epochs = [one(d.rover[k], d.base[k], engine) for k in (0, 1, 2, 1, 3, 3, 4)]
+    r, o = "resolved", "out_of_order"
+    assert [s.reason for s in solved_epochs] == [r, r, r, o, r, o, r]
     assert [s.continuity for s in solved_epochs if s.quality == "fixed"][1:] == ["continuous"] * 4
     assert engine.warnings == {"rover_out_of_order": 2, "base_out_of_order": 2}
     assert solved_epochs[3].position_ecef_m is None
@@ -261,13 +230,10 @@ def test_epochs_that_come_late_or_twice_are_refused_and_disturb_nothing():
 def test_a_receiver_whose_time_went_back_is_followed_after_three_epochs():
     d = drive()
     engine = engine_of(d)
-    engine.add_base(d.base[0])
-    assert engine.solve(seconds_later(d.rover[0], 604_800.0)).quality in ("single", "none")
-    solved_epochs = []
-    for k in range(1, 6):
-        engine.add_base(d.base[k])
-        solved_epochs.append(engine.solve(d.rover[k]))
-    assert [s.reason for s in solved_epochs] == ["out_of_order"] * 2 + ["resolved"] * 3
+    assert one(seconds_later(d.rover[0], 604_800.0), d.base[0], engine).quality in ("single", "none")
+    assert [one(d.rover[k], d.base[k], engine).reason for k in range(1, 6)] == ["out_of_order"] * 2 + [
+        "resolved"
+    ] * 3
     assert engine.warnings["rover_time_went_back"] == 1
 
 
@@ -312,14 +278,10 @@ def test_sixty_satellites_are_no_trouble():
     rover, base = drive().rover[2], drive().base[2]
     names = np.concatenate([np.arange(1, 64) + (ord(letter) << 8) for letter in "GEC"])
     extra = np.setdiff1d(names, np.unique(rover.satellite))
-    more = [some_rows(e, np.arange(extra.size) % e.satellite.size) for e in (rover, base)]
     both = []
-    for e, m in zip((rover, base), more, strict=True):
-        m = replace(m, satellite=extra)
-        both.append(
-            replace(e, **{f: np.concatenate((getattr(e, f), getattr(m, f)))
-                for f in e.__dataclass_fields__ if f != "time_ns"})
-        )  # fmt: skip
+    for e in (rover, base):
+        more = some_rows(e, np.append(np.arange(e.satellite.size), np.arange(extra.size) % e.satellite.size))
+        both.append(replace(more, satellite=np.append(e.satellite, extra)))
     engine = engine_of(drive(), ALONE)
     solution = one(*both, engine)
     assert np.unique(both[0].satellite).size > 180
@@ -377,11 +339,9 @@ def test_odd_values_here_and_there_are_no_exception_and_no_wrong_fix(k, changes)
 @pytest.mark.parametrize("at_base", [False, True])
 def test_a_column_of_one_odd_value_is_no_exception_and_no_wrong_fix(field, value, at_base):
     rover, base = drive().rover[2], drive().base[2]
-    if at_base:
-        base = replace(base, **{field: np.full(base.satellite.size, value)})
-    else:
-        rover = replace(rover, **{field: np.full(rover.satellite.size, value)})
-    assert is_honest(one(rover, base), drive().true_ecef_m[2])
+    epoch = base if at_base else rover
+    changed = replace(epoch, **{field: np.full(epoch.satellite.size, value)})
+    assert is_honest(one(*((rover, changed) if at_base else (changed, base))), drive().true_ecef_m[2])
 
 
 @pytest.mark.parametrize("metres", [15.0, 300.0, 5.0e4, 3.0e6])

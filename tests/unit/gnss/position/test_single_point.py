@@ -27,7 +27,7 @@ from camber.simulator.satellites.constellation import broadcast_ephemerides, tru
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.track import static_track
-from support.engine_drives import some_rows
+from support.engine_drives import clock_ahead, some_rows
 from support.gnss_files import read_navigation, read_observations, recording
 
 KLOBUCHAR = np.array([*KLOBUCHAR_ALPHA, *KLOBUCHAR_BETA])
@@ -147,12 +147,7 @@ def test_a_receiver_clock_moves_the_clocks_only(late_s):
     epochs, store = open_sky(3)
     straight = position_of(epochs[5], store)
     shift_m = late_s * SPEED_OF_LIGHT_M_S
-    late = replace(
-        epochs[5],
-        time_ns=epochs[5].time_ns + round(late_s * 1e9),
-        pseudorange_m=epochs[5].pseudorange_m + shift_m,
-    )
-    point = position_of(late, store)
+    point = position_of(clock_ahead(epochs[5], late_s), store)
     np.testing.assert_allclose(point.position_ecef_m, straight.position_ecef_m, atol=1e-3)
     np.testing.assert_allclose(point.clock_m - straight.clock_m, shift_m, atol=1e-3)
 

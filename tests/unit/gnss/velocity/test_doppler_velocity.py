@@ -9,13 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import (
-    SPEED_OF_LIGHT_M_S,
-    ObservationEpoch,
-    carrier_hz,
-    satellite_name,
-    signal_name,
-)
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch, satellite_name
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
@@ -27,7 +21,7 @@ from camber.simulator.satellites.constellation import broadcast_ephemerides, tru
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.track import AntennaTrack
-from support.engine_drives import some_rows
+from support.engine_drives import some_rows, wavelengths_m
 from support.gnss_files import read_navigation, read_observations, recording
 
 FRAME = LocalFrame(np.deg2rad(35.17), np.deg2rad(136.9), 0.0)
@@ -123,12 +117,8 @@ def test_a_range_rate_is_the_difference_of_ranges():
 def test_the_drift_of_the_receivers_clock_is_separated():
     epochs, _, store = circle(2)
     straight = velocity_of(epochs[0], store)
-    names = [
-        (chr(s >> 8), signal_name(c)) for s, c in zip(epochs[0].satellite, epochs[0].signal, strict=True)
-    ]
-    carrier = np.array([carrier_hz(system, signal) for system, signal in names])
     # A receiver's clock that gains makes all pseudoranges grow: Doppler goes down.
-    fast = replace(epochs[0], doppler_hz=epochs[0].doppler_hz - 25.0 * carrier / SPEED_OF_LIGHT_M_S)
+    fast = replace(epochs[0], doppler_hz=epochs[0].doppler_hz - 25.0 / wavelengths_m(epochs[0]))
     velocity_ = velocity_of(fast, store)
     np.testing.assert_allclose(velocity_.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-6)
     assert velocity_.clock_drift_m_s - straight.clock_drift_m_s == pytest.approx(25.0, abs=1e-6)
@@ -139,13 +129,10 @@ def test_the_rate_of_a_satellites_clock_is_taken_off():
     single = single_point(epochs[0], store)
     straight = doppler_velocity(epochs[0], single)
     chosen = int(np.flatnonzero(straight.used)[3])
-    name = satellite_name(single.satellite[chosen])
     rate = single.states.clock_rate.copy()
     rate[chosen] += 1e-9
-    of_satellite = [
-        carrier_hz(name[0], signal_name(c)) * 1e-9 if s == single.satellite[chosen] else 0.0
-        for s, c in zip(epochs[0].satellite, epochs[0].signal, strict=True)
-    ]
+    carrier_hz = SPEED_OF_LIGHT_M_S / wavelengths_m(epochs[0])
+    of_satellite = carrier_hz * 1e-9 * (epochs[0].satellite == single.satellite[chosen])
     velocity_ = doppler_velocity(
         replace(epochs[0], doppler_hz=epochs[0].doppler_hz + of_satellite),
         replace(single, states=single.states._replace(clock_rate=rate)),
