@@ -220,10 +220,7 @@ def test_two_turns_are_never_one_sweep_when_all_between_is_lost(kind: str) -> No
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_clock_that_is_set_back_within_a_turn_gives_no_sweep_of_two_times(kind: str) -> None:
     """60 ms at once: within what is accepted, and named."""
-    if kind == "velodyne":
-        later = [(arrival_ns, shifted_velodyne(payload, -60_000)) for arrival_ns, payload in packets(kind)]
-    else:
-        later = [(arrival_ns, shifted_ouster(payload, -60_000_000)) for arrival_ns, payload in packets(kind)]
+    later = [(arrival_ns, shifted(kind, payload, -60_000)) for arrival_ns, payload in packets(kind)]
     half = len(later) * 11 // 16
     one = reader(kind)
     result, issues = read(one, [*packets(kind)[:half], *later[half:]], 8)
@@ -233,6 +230,10 @@ def test_a_clock_that_is_set_back_within_a_turn_gives_no_sweep_of_two_times(kind
     for k in range(2):
         alike(kind, result[k], sweeps(kind)[k])
     assert all(int(sweep.offset_ns[-1]) - int(sweep.offset_ns[0]) < 101_000_000 for sweep in result)
+
+
+def shifted(kind: str, payload: bytes, by_us: int) -> bytes:
+    return shifted_velodyne(payload, by_us) if kind == "velodyne" else shifted_ouster(payload, by_us * 1000)
 
 
 def shifted_velodyne(payload: bytes, by_us: int) -> bytes:
@@ -249,12 +250,10 @@ def shifted_ouster(payload: bytes, by_ns: int, session: int = 7) -> bytes:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_clock_that_is_wrong_gives_no_sweep_but_an_issue(kind: str) -> None:
-    shift = {
-        "velodyne": lambda p: shifted_velodyne(p, 900_000_000),
-        "ouster": lambda p: shifted_ouster(p, -37 * 10**9),
-    }
+    by_us = 900_000_000 if kind == "velodyne" else -37_000_000
     one = reader(kind)
-    result, issues = read(one, [(arrival_ns, shift[kind](payload)) for arrival_ns, payload in packets(kind)])
+    wrong = [(arrival_ns, shifted(kind, payload, by_us)) for arrival_ns, payload in packets(kind)]
+    result, issues = read(one, wrong)
     assert result == []
     assert {code for code, _ in issues} == {"lidar_clock"}
     assert one.counts["packets.refused_time"] == len(packets(kind))
@@ -291,7 +290,9 @@ def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_
     """The other one is a moment ahead: by their times alone its points would stand for those of the first. Here and
     there the network swaps two packets; and the other one looks elsewhere at the same time.
     """
-    other = [(at_ns - 12_000, turned(kind, foreign(kind, data), columns)) for at_ns, data in packets(kind)]
+    other = [
+        (at_ns - 12_000, turned(kind, shifted(kind, data, -12), columns)) for at_ns, data in packets(kind)
+    ]
     senders = ((packets(kind), "10.0.0.2"), (other[8:], "10.0.0.3"))
     both = sorted((*packet, sender) for sent, sender in senders for packet in sent)
     mixed = [(arrival_ns - 300_000 * (k % 50 == 7), *more) for k, (arrival_ns, *more) in enumerate(both)]
@@ -313,23 +314,14 @@ def turned(kind: str, payload: bytes, columns: int) -> bytes:
     return packet.tobytes()
 
 
-def foreign(kind: str, payload: bytes) -> bytes:
-    return shifted_velodyne(payload, -12) if kind == "velodyne" else shifted_ouster(payload, -12_000)
-
-
 def test_another_sender_that_comes_first_is_not_read_for_ever() -> None:
     one = reader("velodyne")
     arrived = [(packets("velodyne")[0][0], b"unknown", "10.0.0.9")]
     for turn in range(8):
         for arrival_ns, payload in packets("velodyne"):
-            later_s = 0.4 * turn
-            arrived.append(
-                (
-                    arrival_ns + round(later_s * 1e9),
-                    shifted_velodyne(payload, round(later_s * 1e6)),
-                    "10.0.0.2",
-                )
-            )
+            later_us = 400_000 * turn
+            packet = shifted_velodyne(payload, later_us)
+            arrived.append((arrival_ns + later_us * 1000, packet, "10.0.0.2"))
         arrived.append((arrived[-1][0], b"unknown", "10.0.0.9"))
     result, _ = read(one, arrived)
     # All but those of the first two seconds.
@@ -342,11 +334,9 @@ def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
     one = reader("velodyne")
     result = []
     for k, (arrival_ns, payload) in enumerate(packets("velodyne")):
-        late_s = 3 * (k >= half)
+        late_us = 3_000_000 * (k >= half)
         sender = "10.0.0.2" if k < half else "10.0.0.3"
-        result += one.take(
-            [shifted_velodyne(payload, late_s * 1_000_000)], [arrival_ns + late_s * 10**9], [sender]
-        )
+        result += one.take([shifted_velodyne(payload, late_us)], [arrival_ns + late_us * 1000], [sender])
     assert len(result) + len(one.finish()) == 4
     assert one.counts["packets.of_others"] == 0
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
@@ -98,8 +99,8 @@ def service(
     return time.services[-1]
 
 
-def silent(time: Time) -> list[str]:
-    return [text for code, text in time.bus.issues if code == "sensor_silent"]
+def texts(time: Time, wanted: str) -> list[str]:
+    return [text for code, text in time.bus.issues if code == wanted]
 
 
 def test_a_bus_that_is_dead_stays_so_when_the_clock_is_set_back(time: Time, tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_bus_that_is_dead_stays_so_when_the_clock_is_set_back(time: Time, tmp_
     time.go(one, 1.0)
     assert one.healthy()
     time.go(one, 2.0)
-    assert silent(time) == ["can: no stroke_height for 2 s", "can: no yaw_rate for 2 s"]
+    assert texts(time, "sensor_silent") == ["can: no stroke_height for 2 s", "can: no yaw_rate for 2 s"]
     time.bus.time_ns -= 3600 * S
     time.go(one, 1.0)
     assert not one.healthy()
@@ -119,7 +120,7 @@ def test_strokes_are_no_motion(time: Time, tmp_path: Path) -> None:
     )
     time.go(one, 5.0)
     assert {name for name, _ in time.bus.given[-10:]} == {"suspension"}
-    assert silent(time) == ["can: no yaw_rate for 2 s"]
+    assert texts(time, "sensor_silent") == ["can: no yaw_rate for 2 s"]
     assert not one.healthy()
 
 
@@ -129,7 +130,7 @@ def test_a_quantity_that_is_never_known_is_named_though_others_are(time: Time, t
     frames = [frame(name, k / 10) for k in range(40) for name in ("Dynamics", "Suspension")]
     one = service(time, tmp_path, frames, signals)
     time.go(one, 3.5)
-    assert silent(time) == ["can: no wheel_speed for 2 s"]
+    assert texts(time, "sensor_silent") == ["can: no wheel_speed for 2 s"]
     assert not one.healthy()
 
 
@@ -148,23 +149,12 @@ def test_of_a_log_of_two_buses_the_first_is_read_and_the_other_named(time: Time,
 def test_a_fault_in_the_lidar_is_none_in_the_motion(time: Time, tmp_path: Path) -> None:
     one = service(time, tmp_path, [frame("Dynamics", k / 10) for k in range(50)], lidar=cast(Any, LIDAR))
 
-    class Broken:
-        def take(self, now_ns: int) -> None:
-            raise RuntimeError("lidar")
-
-        def close(self) -> None:
-            pass
-
-    one._packets = cast(Any, Broken())
+    one._packets = Mock(take=Mock(side_effect=RuntimeError("lidar")))
     for _ in range(30):
         with pytest.raises(RuntimeError):
             time.go(one, 0.1)
     assert Counter(name for name, _ in time.bus.given) == {"motion": 31}
-    assert silent(time) == ["can: no stroke_height for 2 s", "lidar: no sweep for 2 s"]
-
-
-def stepped(time: Time) -> list[str]:
-    return [text for code, text in time.bus.issues if code == "recording_stepped"]
+    assert texts(time, "sensor_silent") == ["can: no stroke_height for 2 s", "lidar: no sweep for 2 s"]
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
@@ -177,7 +167,7 @@ def test_playing_goes_on_where_the_recordings_clock_was_set(
     motion = [message.time_ns for _, message in time.bus.given]
     assert len(motion) == 60
     assert motion == pytest.approx([START_NS + k * S // 10 for k in range(60)], abs=0.3 * S)
-    assert stepped(time) == [f"the recording goes on {step_s:+.3f} s from where it was"]
+    assert texts(time, "recording_stepped") == [f"the recording goes on {step_s:+.3f} s from where it was"]
 
 
 def test_where_one_recording_alone_has_a_gap_the_other_stays_with_it(time: Time, tmp_path: Path) -> None:
@@ -193,4 +183,4 @@ def test_where_one_recording_alone_has_a_gap_the_other_stays_with_it(time: Time,
     assert len(time.bus.given) == pytest.approx(200, abs=2)
     time.go(one, 11.0)
     assert time.bus.counters["lidar.packets.read"] == 3
-    assert stepped(time) == []
+    assert texts(time, "recording_stepped") == []

@@ -49,6 +49,7 @@ def test_what_is_no_answer_is_refused(answer):
         {},
         {"CAMBER_INTEGRITY_VEHICLE": "van"},
         {"CAMBER_INTEGRITY_ZENOH__CONNECT": '["tcp/127.0.0.1:9"]'},
+        {"CAMBER_INTEGRITY_ZENOH": '{"connect": ["tcp/127.0.0.1:9"]}'},
         {"VEHICLE": "another", "ZENOH__CONNECT": '["tcp/127.0.0.1:9"]'},
     ],
 )
@@ -115,8 +116,3 @@ def test_nobody_there_is_one_line_and_exit_code_1(tmp_path, capsys, monkeypatch)
 
 def test_a_clock_that_lags_far_probes_all_the_same():
     assert decode(HealthRequest, probe.question(-1), probe._ENCODING).message.time_ns == EARLIEST_NS
-
-
-def test_it_reads_the_bus_as_json_too(tmp_path):
-    environ = {"CAMBER_GNSS_ZENOH": '{"connect": ["tcp/127.0.0.1:9"]}'}
-    assert probe.bus_of("gnss", tmp_path / "none.toml", environ).connect == ["tcp/127.0.0.1:9"]

@@ -72,15 +72,21 @@ def put(outbox, *ids):
         outbox.put(upload_id, "upload", upload_id.encode())
 
 
+def sending(outbox, wire, *ids, **more):
+    """A sender of these uploads after its first step."""
+    put(outbox, *ids)
+    sender = Sender(outbox, wire.send, **more)
+    sender.step(0.0)
+    return sender
+
+
 def waiting(outbox):
     return [pending.id for pending in outbox.pending(1000)]
 
 
 @pytest.mark.parametrize("status", ["stored", "duplicate", "refused"])
 def test_an_upload_leaves_when_the_cloud_has_it_or_refuses_it(outbox, wire, status):
-    put(outbox, "a", "b")
-    sender = Sender(outbox, wire.send)
-    sender.step(0.0)
+    sender = sending(outbox, wire, "a", "b")
     assert waiting(outbox) == ["a", "b"]
     wire.answer("a", status, "datum" if status == "refused" else "")
     sender.step(0.1)
@@ -102,9 +108,7 @@ def test_an_upload_leaves_when_the_cloud_has_it_or_refuses_it(outbox, wire, stat
     ids=["empty", "text", "of another upload", "of another kind", "cut off", "nothing"],
 )
 def test_what_is_no_receipt_leaves_the_upload_waiting_and_it_is_sent_again(outbox, wire, answer):
-    put(outbox, "a")
-    sender = Sender(outbox, wire.send)
-    sender.step(0.0)
+    sender = sending(outbox, wire, "a")
     wire.open.pop("a").set_result(answer)
     sender.step(0.1)
     assert waiting(outbox) == ["a"]
@@ -114,9 +118,7 @@ def test_what_is_no_receipt_leaves_the_upload_waiting_and_it_is_sent_again(outbo
 
 
 def test_a_transport_that_never_answers_is_given_up_and_its_late_receipt_ignored(outbox, wire):
-    put(outbox, "a")
-    sender = Sender(outbox, wire.send)
-    sender.step(0.0)
+    sender = sending(outbox, wire, "a")
     late = wire.open["a"]
     assert sender.step(ANSWER_LIMIT_S) > 0.0
     assert sender.counts == {}
@@ -138,9 +140,7 @@ def test_no_more_are_in_flight_than_the_window_and_none_twice(outbox, wire):
 
 
 def test_what_is_put_while_others_are_in_flight_is_sent_once(outbox, wire):
-    put(outbox, "a", "b", "c")
-    sender = Sender(outbox, wire.send, window=10)
-    sender.step(0.0)
+    sender = sending(outbox, wire, "a", "b", "c", window=10)
     put(outbox, "d", "e")
     sender.step(1.0)
     assert wire.log == ["a", "b", "c", "d", "e"]
@@ -152,9 +152,7 @@ class LongestJitter(random.Random):
 
 
 def test_after_a_failure_one_upload_probes_and_the_first_receipt_opens_the_window(outbox, wire):
-    put(outbox, *(f"u{n}" for n in range(10)))
-    sender = Sender(outbox, wire.send, window=4, rng=LongestJitter())
-    sender.step(0.0)
+    sender = sending(outbox, wire, *(f"u{n}" for n in range(10)), window=4, rng=LongestJitter())
     for n in range(4):
         wire.fail(f"u{n}")
     pause = sender.step(1.0)
@@ -211,9 +209,7 @@ def test_an_upload_that_always_fails_does_not_hold_up_the_others(outbox, wire):
 
 
 def test_an_outbox_that_cannot_note_a_receipt_sends_again(outbox, wire, monkeypatch):
-    put(outbox, "a")
-    sender = Sender(outbox, wire.send)
-    sender.step(0.0)
+    sender = sending(outbox, wire, "a")
     wire.answer("a")
     with monkeypatch.context() as patched:
         patched.setattr(outbox, "acknowledge", failing)
