@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -132,7 +132,7 @@ class StreetDrive:
         self,
         tenths: int,
         *,
-        sweeps: Callable[[Sweep], Iterator[Sweep]] | None = None,
+        sweeps: Callable[[Sweep], Iterable[Sweep]] | None = None,
         fixes: Callable[[StreetDrive], Fix | None] | None = None,
         motion: Callable[[StreetDrive], Motion | None] | None = None,
     ) -> Pose:
@@ -145,7 +145,7 @@ class StreetDrive:
             if moved is not None:
                 self.localization.on_motion(moved)
             whole = self.sweep()
-            for sweep in iter([whole]) if sweeps is None else sweeps(whole):
+            for sweep in [whole] if sweeps is None else sweeps(whole):
                 self.localization.on_sweep(sweep)
             step = self.localization.advance()
             self.matches += step.matches

@@ -22,6 +22,7 @@ from camber.localizer.filter.dead_reckoning import (
 )
 from camber.localizer.filter.odometry import MotionModel, MotionSample, WheelOdometry, yaw_rate
 from camber.localizer.filter.track import RelativeTrack
+from support.pose_inputs import sample
 
 MODEL = MotionModel()
 STEP_NS = 200_000_000
@@ -37,10 +38,7 @@ class Reckoner:
         self.p = np.diag([1e-4, 1e-4, 1e-6] + [1e-12] * (N_MOTION - 3))
 
     def feed(self, time_ns, speed, rate=None, steering=None):
-        step = self.odometer.advance(
-            MotionSample(time_ns=time_ns, speed_m_s=speed, yaw_rate_rad_s=rate, steering_rad=steering),
-            float(self.x[BIAS_A]),
-        )
+        step = self.odometer.advance(sample(time_ns, speed, rate, steering), float(self.x[BIAS_A]))
         if step.outcome in ("repeated", "backwards"):
             return step
         turn = yaw_rate(
@@ -105,15 +103,8 @@ def test_propagation_carries_the_covariance_by_its_true_derivatives(sensor):
 
     def run(x):
         x, p, odometer = x.copy(), np.zeros((N_MOTION, N_MOTION)), WheelOdometry(model)
-        odometer.advance(
-            MotionSample(time_ns=0, speed_m_s=speed - 0.2, yaw_rate_rad_s=rate, steering_rad=steering), 0.0
-        )
-        step = odometer.advance(
-            MotionSample(
-                time_ns=round(dt * 1e9), speed_m_s=speed, yaw_rate_rad_s=rate, steering_rad=steering
-            ),
-            0.0,
-        )
+        odometer.advance(sample(0, speed - 0.2, rate, steering), 0.0)
+        step = odometer.advance(sample(round(dt * 1e9), speed, rate, steering), 0.0)
         turn = yaw_rate(
             step, sensor, model, bias=float(x[BIAS_A]), scale=float(x[SCALE]), gain=float(x[TURN_GAIN])
         )

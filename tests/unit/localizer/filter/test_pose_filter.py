@@ -9,18 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.odometry import MotionModel
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.links.link_line import LinkLine
 from camber.localizer.links.link_matching import LinkMatch, LinkMatcher, LinkNetwork, RoadLink
 from support.plain_links import line_through
+from support.pose_inputs import link_match, sample, start_pose
 
 STEP_S = 0.2
 FIX = np.eye(2) * 0.02**2
-FAR_FROM_BENDS_M = 500.0
 
 
 class Vehicle:
@@ -47,13 +46,8 @@ class Vehicle:
         steering += self.steering_bias + n * rng.normal(0, m.steering_noise_rad)
         gyro = rate + self.bias + n * rng.normal(0, m.yaw_rate_noise_rad_s)
         by_steering = m.a_rate_sensor == "steering" and not self.both
-        sample = MotionSample(
-            time_ns=self.time_ns,
-            speed_m_s=read,
-            yaw_rate_rad_s=None if by_steering else gyro,
-            steering_rad=steering if by_steering or self.both else None,
-        )
-        return self.filter.predict(sample)
+        steered = steering if by_steering or self.both else None
+        return self.filter.predict(sample(self.time_ns, read, None if by_steering else gyro, steered))
 
     def drive(self, seconds, speed, rate=0.0, anchored=False, network=None):
         for _ in range(round(seconds / STEP_S)):
@@ -105,30 +99,8 @@ def anchored_vehicle(**more):
     return vehicle
 
 
-def given_pose(vehicle, sigma_m=0.1, yaw_deg=0.5, provenance="given", yaw=None):
-    e, n, truth_yaw = vehicle.truth
-    covariance = np.diag([sigma_m**2, sigma_m**2, math.radians(yaw_deg) ** 2])
-    return StartPose(
-        time_ns=vehicle.time_ns,
-        east_m=e,
-        north_m=n,
-        yaw_rad=truth_yaw if yaw is None else yaw,
-        covariance=covariance,
-        provenance=provenance,
-    )
-
-
-def a_match(line, sigma_m=1.0, link_id=1):
-    return LinkMatch(
-        status="matched",
-        link_id=link_id,
-        forward=True,
-        level=0,
-        line=line,
-        sigma_m=sigma_m,
-        to_sharp_m=FAR_FROM_BENDS_M,
-        candidates=(link_id,),
-    )
+def given_pose(vehicle, **more):
+    return start_pose(vehicle.time_ns, vehicle.truth, **more)
 
 
 # Anchors
@@ -263,7 +235,7 @@ def test_a_standstill_keeps_the_pose_and_couples_nothing():
     e = vehicle.filter.estimate()
     for _ in range(200):
         vehicle.drive(STEP_S, 0.0)
-        assert vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0))) == "standing"
+        assert vehicle.filter.couple_link(link_match(LinkLine(0.0, 0.0))) == "standing"
     later = vehicle.filter.estimate()
     np.testing.assert_allclose(later.covariance[:2, :2], e.covariance[:2, :2], rtol=1e-2)
     assert later.standing
@@ -281,16 +253,15 @@ def test_a_gap_longer_than_can_be_bridged_loses_the_pose():
 def test_samples_from_the_past_change_nothing():
     vehicle = anchored_vehicle()
     before = vehicle.filter.estimate()
-    sample = MotionSample(time_ns=vehicle.time_ns, speed_m_s=9.0, yaw_rate_rad_s=1.0)
-    assert vehicle.filter.predict(sample) == "repeated"
-    assert vehicle.filter.predict(replace(sample, time_ns=vehicle.time_ns - 10**9)) == "backwards"
+    assert vehicle.filter.predict(sample(vehicle.time_ns, 9.0, 1.0)) == "repeated"
+    assert vehicle.filter.predict(sample(vehicle.time_ns - 10**9, 9.0, 1.0)) == "backwards"
     np.testing.assert_array_equal(vehicle.filter.estimate().covariance, before.covariance)
 
 
 def test_without_readings_speed_and_yaw_rate_are_unknown():
     vehicle = anchored_vehicle()
     vehicle.time_ns += 2 * 10**8
-    vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=None, yaw_rate_rad_s=None))
+    vehicle.filter.predict(sample(vehicle.time_ns, None, None))
     e = vehicle.filter.estimate()
     assert e.speed_m_s is None
     assert e.yaw_rate_rad_s is None
@@ -314,7 +285,7 @@ def couple_along(vehicle, offsets, seconds, speed=8.0, sigma_m=1.0):
     for _ in range(round(seconds / STEP_S)):
         vehicle.drive(STEP_S, speed)
         offset = offsets[int(vehicle.truth[0] / 5.0)]
-        vehicle.filter.couple_link(a_match(LinkLine(0.0, -offset), sigma_m))
+        vehicle.filter.couple_link(link_match(LinkLine(0.0, -offset), sigma_m))
 
 
 def test_coupling_with_a_link_that_deviates_slowly_stays_honest_and_helps():
@@ -347,12 +318,12 @@ def test_the_offset_from_the_link_is_measured_by_anchors_and_kept_when_they_stop
     vehicle.drive(5.0, 0.0, anchored=True)
     for _ in range(100):
         vehicle.drive(STEP_S, 8.0, anchored=True)
-        vehicle.filter.couple_link(a_match(LinkLine(0.0, 3.0), 0.5))
+        vehicle.filter.couple_link(link_match(LinkLine(0.0, 3.0), 0.5))
     e = vehicle.filter.estimate()
     assert e.link_offset_m == pytest.approx(3.0, abs=0.3)
     for _ in range(500):
         vehicle.drive(STEP_S, 8.0)
-        vehicle.filter.couple_link(a_match(LinkLine(0.0, 3.0), 0.5))
+        vehicle.filter.couple_link(link_match(LinkLine(0.0, 3.0), 0.5))
     assert vehicle.filter.estimate().link_offset_m == pytest.approx(3.0, abs=1.5)
     assert abs(vehicle.error()[1]) < 1.5
 
@@ -363,7 +334,7 @@ def test_links_are_coupled_at_intervals_of_distance_only():
     outcomes = []
     for _ in range(50):
         vehicle.drive(STEP_S, 5.0)
-        outcomes.append(vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0))))
+        outcomes.append(vehicle.filter.couple_link(link_match(LinkLine(0.0, 0.0))))
     assert 9 <= outcomes.count("coupled") <= 11
     assert set(outcomes) == {"coupled", "too_soon"}
 
@@ -373,22 +344,22 @@ def test_links_without_a_meaningful_direction_are_not_coupled():
     line = LinkLine(0.0, 0.0)
     couple = vehicle.filter.couple_link
     assert couple(LinkMatch(status="none")) == "not_matched"
-    assert couple(replace(a_match(line), status="ambiguous")) == "not_matched"
-    assert couple(a_match(LinkLine(0.6, 0.0))) == "not_parallel"
-    assert couple(replace(a_match(line), to_sharp_m=5.0)) == "near_bend"
-    assert couple(a_match(line)) == "coupled"
+    assert couple(replace(link_match(line), status="ambiguous")) == "not_matched"
+    assert couple(link_match(LinkLine(0.6, 0.0))) == "not_parallel"
+    assert couple(replace(link_match(line), to_sharp_m=5.0)) == "near_bend"
+    assert couple(link_match(line)) == "coupled"
 
 
 def test_a_link_far_off_is_refused_first_and_taken_for_a_change_of_lane_then():
     vehicle = anchored_vehicle()
     for _ in range(20):
         vehicle.drive(1.0, 8.0)
-        vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0), 0.3))
+        vehicle.filter.couple_link(link_match(LinkLine(0.0, 0.0), 0.3))
     before = vehicle.filter.estimate()
     outcomes = []
     for _ in range(5):
         vehicle.drive(1.0, 8.0)
-        outcomes.append(vehicle.filter.couple_link(a_match(LinkLine(0.0, 30.0), 0.3)))
+        outcomes.append(vehicle.filter.couple_link(link_match(LinkLine(0.0, 30.0), 0.3)))
     assert outcomes[:2] == ["rejected", "rejected"]
     assert "coupled" in outcomes[2:]
     assert abs(vehicle.filter.estimate().north_m - before.north_m) < 3.0
@@ -397,20 +368,11 @@ def test_a_link_far_off_is_refused_first_and_taken_for_a_change_of_lane_then():
 def test_a_turn_onto_another_link_determines_the_position_along_the_first():
     network = LinkNetwork(
         [
-            RoadLink(
-                link_id=1,
-                start_node="a",
-                end_node="b",
-                vertices_m=np.array([[-50.0, 0.0], [1030.0, 0.0]]),
-                sigma_m=0.5,
-            ),
-            RoadLink(
-                link_id=2,
-                start_node="b",
-                end_node="c",
-                vertices_m=np.array([[1030.0, 0.0], [1030.0, 900.0]]),
-                sigma_m=0.5,
-            ),
+            RoadLink(link_id=k, start_node=a, end_node=b, vertices_m=np.array(ends), sigma_m=0.5)
+            for k, a, b, ends in (
+                (1, "a", "b", [[-50.0, 0.0], [1030.0, 0.0]]),
+                (2, "b", "c", [[1030.0, 0.0], [1030.0, 900.0]]),
+            )
         ]
     )
     vehicle = Vehicle(seed=5)
@@ -520,7 +482,7 @@ def test_a_heading_that_is_lost_is_reported_as_unknown():
     vehicle = anchored_vehicle()
     for _ in range(100):
         vehicle.time_ns += 2 * 10**8
-        vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=8.0, yaw_rate_rad_s=None))
+        vehicle.filter.predict(sample(vehicle.time_ns, 8.0, None))
     e = vehicle.filter.estimate()
     assert not e.yaw_known
     assert vehicle.filter.mode == "dead_reckoning"
@@ -539,7 +501,7 @@ def test_nothing_depends_on_the_origin():
         line = line_through((-shift, shift - 2.0), (100.0 - shift, shift - 2.0))
         for _ in range(50):
             vehicle.drive(1.0, 8.0)
-            vehicle.filter.couple_link(a_match(line))
+            vehicle.filter.couple_link(link_match(line))
         vehicle.anchor()
         e = vehicle.filter.estimate()
         seeds[shift] = (e.east_m + shift, e.north_m - shift, e.covariance)
@@ -582,11 +544,11 @@ EVENTS = st.lists(
 def test_any_sequence_of_events_leaves_a_covariance(events, sensor):
     pose_filter = PoseFilter(PoseModel(motion=MotionModel(a_rate_sensor=sensor), antenna_x_m=1.0))
     now = 10**15
-    pose_filter.predict(MotionSample(time_ns=now, speed_m_s=0.0, yaw_rate_rad_s=0.0, steering_rad=0.0))
+    pose_filter.predict(sample(now, 0.0, 0.0, 0.0))
     for kind, a, b, c in events:
         if kind == "motion":
             now += a * 1_000_000
-            pose_filter.predict(MotionSample(time_ns=now, speed_m_s=b, yaw_rate_rad_s=c, steering_rad=c))
+            pose_filter.predict(sample(now, b, c, c))
         elif kind == "anchor":
             pose_filter.anchor(now + a * 1_000_000, b, c, FIX)
         elif kind == "match":
@@ -596,19 +558,10 @@ def test_any_sequence_of_events_leaves_a_covariance(events, sensor):
             covariance[:2, :2] += 1e4 * np.outer([math.cos(b), math.sin(b)], [math.cos(b), math.sin(b)])
             pose_filter.match(now + a * 1_000_000, (b, c, c), covariance, unique=True)
         elif kind == "link":
-            pose_filter.couple_link(a_match(LinkLine(a, b), c))
+            pose_filter.couple_link(link_match(LinkLine(a, b), c))
         elif kind == "given":
             provenance = "fixes" if b > 25.0 else "given"
-            pose_filter.start(
-                StartPose(
-                    time_ns=now,
-                    east_m=0.0,
-                    north_m=0.0,
-                    yaw_rad=a,
-                    covariance=np.diag([b * b, b * b, c * c]),
-                    provenance=provenance,
-                )
-            )
+            pose_filter.start(start_pose(now, (0.0, 0.0, a), b, math.degrees(c), provenance))
         else:
             pose_filter.shift_origin(a, b)
         e = pose_filter.estimate()

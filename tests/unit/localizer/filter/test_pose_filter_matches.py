@@ -9,13 +9,12 @@ import pytest
 from scipy import stats
 
 from camber.localizer.filter.dead_reckoning import SCALE
-from camber.localizer.filter.odometry import MotionSample
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
+from camber.localizer.filter.start_from_fixes import StartFromFixes
 from camber.localizer.links.link_line import LinkLine
-from camber.localizer.links.link_matching import LinkMatch
+from support.pose_inputs import link_match, sample, start_pose
 
 STEP_S = 0.1
 FIX = np.eye(2) * 0.02**2
@@ -45,7 +44,7 @@ class Vehicle:
         wheel = slip * self.speed / (1.0 + self.scale) + rng.normal(0, m.speed_noise_m_s)
         gyro = self.rate + self.bias + rng.normal(0, m.yaw_rate_noise_rad_s)
         self.past.append((self.time_ns, self.truth.copy()))
-        return self.filter.predict(MotionSample(time_ns=self.time_ns, speed_m_s=wheel, yaw_rate_rad_s=gyro))
+        return self.filter.predict(sample(self.time_ns, wheel, gyro))
 
     def step(self, speed, rate=0.0, slip=1.0):
         """A tenth of a second; the speed changes by 3 m/s² at most."""
@@ -76,18 +75,7 @@ class Vehicle:
         """Couple with a link that lies two metres right of the vehicle and means its heading."""
         yaw = self.truth[2]
         line = LinkLine(yaw, 2.0 - LinkLine(yaw, 0.0).offset_m(*self.truth[:2]))
-        match = LinkMatch(
-            status="matched",
-            link_id=1,
-            forward=True,
-            level=0,
-            line=line,
-            sigma_m=1.0,
-            to_sharp_m=500.0,
-            candidates=(1,),
-            station_m=self.path_m,
-        )
-        return self.filter.couple_link(match)
+        return self.filter.couple_link(link_match(line, station_m=self.path_m))
 
     def anchor(self, off=(0.0, 0.0)):
         east, north = rotated(self.truth[2], *off)
@@ -105,17 +93,8 @@ class Vehicle:
                 self.anchor(anchors)
         return Counter(outcomes)
 
-    def given(self, off=(0.0, 0.0), provenance="given", sigma_m=0.1):
-        covariance = np.diag([sigma_m**2, sigma_m**2, math.radians(0.5) ** 2])
-        east, north = self.truth[:2] + off
-        return StartPose(
-            time_ns=self.time_ns,
-            east_m=east,
-            north_m=north,
-            yaw_rad=self.truth[2],
-            covariance=covariance,
-            provenance=provenance,
-        )
+    def given(self, off=(0.0, 0.0), **more):
+        return start_pose(self.time_ns, np.add(self.truth, (*off, 0.0)), **more)
 
     def error(self):
         e = self.filter.estimate()
@@ -283,7 +262,7 @@ def silent(vehicle, seconds, missing):
         "yaw rate": {"yaw_rate_rad_s": None},
         "clock": {"time_ns": stopped_ns},
     }
-    vehicle.filter.predict = lambda sample: predict(replace(sample, **changes[missing]))
+    vehicle.filter.predict = lambda reading: predict(replace(reading, **changes[missing]))
     vehicle.drive(seconds, 6.0, 0.1, matches=False)
     vehicle.filter.predict = predict
     vehicle.step(6.0, 0.1)
@@ -307,14 +286,10 @@ def test_matches_ahead_of_a_stopped_motion_clock_are_refused():
     vehicle = matched_vehicle()
     stopped_ns = vehicle.time_ns
     for k in range(1, 20):
-        assert (
-            vehicle.filter.predict(MotionSample(time_ns=stopped_ns, speed_m_s=8.0, yaw_rate_rad_s=0.0))
-            == "repeated"
-        )
-        outcome = vehicle.filter.match(
-            stopped_ns + k * 100_000_000, tuple(vehicle.truth), MATCH, unique=True
-        ).outcome
-        assert outcome == "ahead" or k <= 3
+        assert vehicle.filter.predict(sample(stopped_ns, 8.0)) == "repeated"
+        at_ns = stopped_ns + k * 100_000_000
+        result = vehicle.filter.match(at_ns, tuple(vehicle.truth), MATCH, unique=True)
+        assert result.outcome == "ahead" or k <= 3
 
 
 # Wrong matches
@@ -404,18 +379,25 @@ def test_unique_matches_that_agree_over_a_distance_bring_back_a_pose_that_was_wr
 # Wheels that slip
 
 
+def slipping(vehicle, slips, speed=8.0, matches=True):
+    """Whether the slip was suspected on the way, and how far off the pose was at most."""
+    suspected, worst_m = False, 0.0
+    for slip in slips:
+        vehicle.step(speed, slip=slip)
+        if matches:
+            vehicle.match()
+        suspected |= vehicle.filter.estimate().wheel_slip_suspected
+        worst_m = max(worst_m, vehicle.distance())
+    return suspected, worst_m
+
+
 def test_slip_is_detected_matches_hold_the_pose_and_the_scale_is_not_learnt():
     for seed in range(5):
         vehicle = matched_vehicle(seed=seed)
         scale = vehicle.filter.state.x[SCALE]
-        worst, suspected = 0.0, False
-        for slip in (*SLIP, *[1.3] * 50, *SLIP[::-1]):
-            vehicle.step(8.0, slip=slip)
-            vehicle.match()
-            worst = max(worst, vehicle.distance())
-            suspected |= vehicle.filter.estimate().wheel_slip_suspected
+        suspected, worst_m = slipping(vehicle, (*SLIP, *[1.3] * 50, *SLIP[::-1]))
         assert suspected
-        assert worst < 0.5, "without matches it would be 12 m"
+        assert worst_m < 0.5, "without matches it would be 12 m"
         vehicle.drive(5.0, 8.0)
         e = vehicle.filter.estimate()
         assert not e.wheel_slip_suspected
@@ -423,22 +405,13 @@ def test_slip_is_detected_matches_hold_the_pose_and_the_scale_is_not_learnt():
         assert vehicle.distance() < 0.1
 
 
-def test_slip_without_another_source_is_detected_by_an_impossible_acceleration():
+@pytest.mark.parametrize(("ending", "seconds"), [((1.2, 1.1), 3.0), ((1.24, 1.18, 1.12, 1.06), 1.5)])
+def test_slip_without_another_source_is_detected_by_an_impossible_acceleration_and_ends(ending, seconds):
     vehicle = matched_vehicle()
-    for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.2, 1.1):
-        vehicle.step(8.0, slip=slip)
+    slipping(vehicle, (1.1, 1.2, 1.3, *[1.3] * 40, *ending), matches=False)
     assert vehicle.filter.estimate().wheel_slip_suspected
-    vehicle.drive(3.0, 8.0, matches=False)
+    vehicle.drive(seconds, 8.0, matches=False)
     assert vehicle.distance() > 1.0
-    assert vehicle.nees() < 16.3
-
-
-def test_slip_ends_without_another_source():
-    vehicle = matched_vehicle()
-    for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.24, 1.18, 1.12, 1.06):
-        vehicle.step(8.0, slip=slip)
-    assert vehicle.filter.estimate().wheel_slip_suspected
-    vehicle.drive(1.5, 8.0, matches=False)
     e = vehicle.filter.estimate()
     assert not e.wheel_slip_suspected
     assert e.speed_m_s == pytest.approx(8.0, abs=0.3)
@@ -447,24 +420,16 @@ def test_slip_ends_without_another_source():
 
 def test_locked_wheels_do_not_stop_the_pose_at_once():
     vehicle = matched_vehicle()
-    for slip in (0.5, *[0.35] * 20, 0.7):
-        vehicle.step(8.0, slip=slip)
-        vehicle.match()
+    slipping(vehicle, (0.5, *[0.35] * 20, 0.7))
     assert vehicle.distance() < 0.3
     vehicle.drive(3.0, 8.0)
     assert vehicle.distance() < 0.1
 
 
 def test_slow_slip_is_detected_by_matches():
-    vehicle = matched_vehicle()
-    suspected, worst = False, 0.0
-    for k in range(60):
-        vehicle.step(8.0, slip=1.0 + min(0.01 * k, 0.2))
-        vehicle.match()
-        suspected |= vehicle.filter.estimate().wheel_slip_suspected
-        worst = max(worst, vehicle.distance())
+    suspected, worst_m = slipping(matched_vehicle(), [1.0 + min(0.01 * k, 0.2) for k in range(60)])
     assert suspected
-    assert worst < 0.5, "without matches it would be 8 m"
+    assert worst_m < 0.5, "without matches it would be 8 m"
 
 
 def test_matches_with_the_same_offset_as_before_raise_no_suspicion_of_slip():
@@ -479,8 +444,7 @@ def test_matches_with_the_same_offset_as_before_raise_no_suspicion_of_slip():
 
 def test_locked_wheels_bring_a_sliding_vehicle_to_rest():
     vehicle = matched_vehicle()
-    for slip in (0.4, *[0.0] * 20):
-        vehicle.step(0.0, slip=slip)
+    slipping(vehicle, (0.4, *[0.0] * 20), speed=0.0, matches=False)
     assert vehicle.speed > 1.0
     assert vehicle.filter.estimate().wheel_slip_suspected
     assert vehicle.nees() < 16.3

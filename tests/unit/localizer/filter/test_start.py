@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.localizer.filter.heading_search import HeadingModel, HeadingSearch, TrackedPosition
-from camber.localizer.filter.odometry import MotionModel, MotionSample, WheelOdometry
+from camber.localizer.filter.odometry import MotionModel, WheelOdometry
 from camber.localizer.filter.planar_pose import covariance_at_offset, rotated
 from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
 from camber.localizer.filter.track import RelativeTrack
+from support.pose_inputs import sample
 
 FIX = np.eye(2) * 0.02**2
 STEP_NS = 200_000_000
@@ -33,9 +34,7 @@ class Drive:
         self.place = self.place + 0.2 * speed * np.array([math.cos(middle), math.sin(middle)])
         self.yaw += 0.2 * rate
         self.time_ns += STEP_NS
-        step = self.odometer.advance(
-            MotionSample(time_ns=self.time_ns, speed_m_s=speed, yaw_rate_rad_s=rate), 0.0
-        )
+        step = self.odometer.advance(sample(self.time_ns, speed, rate), 0.0)
         self.track.append(self.time_ns, step, speed, rate)
 
     def fix(self, error=(0.0, 0.0)):

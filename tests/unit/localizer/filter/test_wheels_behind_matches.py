@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG
-from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.odometry import MotionModel
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag
+from support.pose_inputs import sample, start_pose
 
 MATCH = np.diag([0.02**2, 0.02**2, math.radians(0.05) ** 2])
 STEP_S = 0.1
@@ -25,16 +25,7 @@ class Straight:
         self.filter = PoseFilter(PoseModel(motion=MotionModel()))
         self.wheels = []
         self.step(0.0)
-        self.filter.start(
-            StartPose(
-                time_ns=0,
-                east_m=0.0,
-                north_m=0.0,
-                yaw_rad=0.0,
-                covariance=np.diag([0.05**2, 0.05**2, math.radians(0.1) ** 2]),
-                provenance="given",
-            )
-        )
+        self.filter.start(start_pose(0, (0.0, 0.0, 0.0), sigma_m=0.05, yaw_deg=0.1))
 
     @staticmethod
     def speed(t):
@@ -43,11 +34,7 @@ class Straight:
 
     def step(self, t):
         wheel = self.speed(t - self.lag_s) / (1.0 + self.scale)
-        self.filter.predict(
-            MotionSample(
-                time_ns=round(t * 1e9), speed_m_s=wheel + self.rng.normal(0.0, 0.01), yaw_rate_rad_s=0.0
-            )
-        )
+        self.filter.predict(sample(round(t * 1e9), wheel + self.rng.normal(0.0, 0.01)))
         self.wheels.append((t, wheel))
 
     def run(self, seconds):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -40,20 +41,16 @@ PLACE = LocalFrame(*CORNER, 0.0)
 BASE_M = 47.0
 
 
-def street(seed: int = 1, length_m: float = 240.0) -> dict[CloudLayer, Floats]:
+def street() -> dict[CloudLayer, Floats]:
     """A road along east through the corner and poles beside it, east, north about it and ellipsoidal height."""
-    rng = np.random.default_rng(seed)
-    half = 0.5 * length_m
-    n = int(length_m * 8.0 * 20.0)
+    rng, half = np.random.default_rng(1), 120.0
+    n = int(2.0 * half * 8.0 * 20.0)
     east, north = rng.uniform(-half, half, n), rng.uniform(-4.0, 4.0, n)
     road = np.column_stack((east, north, BASE_M + 0.05 * east))
-    poles = np.column_stack(
-        (
-            np.repeat(np.arange(-half, half, 10.0), 60),
-            np.full(60 * len(np.arange(-half, half, 10.0)), 6.0),
-            np.tile(np.arange(60) * 0.2, len(np.arange(-half, half, 10.0))),
-        )
+    along, up = (
+        axis.ravel() for axis in np.meshgrid(np.arange(-half, half, 10.0), np.arange(60) * 0.2, indexing="ij")
     )
+    poles = np.column_stack((along, np.full(len(along), 6.0), up))
     poles[:, 2] += BASE_M + 0.05 * poles[:, 0]
     return {"road_cloud": road, "environment_cloud": poles}
 
@@ -84,11 +81,24 @@ def tile_frame_place(x: int, y: int) -> tuple[float, float]:
     return frame.latitude_rad, frame.longitude_rad
 
 
-def load(blocks: MapBlockStore, clouds: dict[CloudLayer, Floats], at: tuple[float, float] = CORNER) -> int:
-    needed = blocks.tiles_needed(*at)
+def load(
+    blocks: MapBlockStore,
+    clouds: dict[CloudLayer, Floats],
+    is_there: Callable[[CloudLayer, int], bool] = lambda layer, x: True,
+    reason: str = "no such tile",
+) -> int:
+    """How many tiles are needed about the corner; those that are there by their layer and x are set."""
+    needed = blocks.tiles_needed(*CORNER)
     for layer, x, y in needed:
-        blocks.set_tile(layer, x, y, tile(layer, x, y, clouds[layer]), "no such tile")
+        there = tile(layer, x, y, clouds[layer]) if is_there(layer, x) else None
+        blocks.set_tile(layer, x, y, there, reason)
     return len(needed)
+
+
+def loaded(options: MapBlockOptions | None = None) -> MapBlockStore:
+    blocks = MapBlockStore(options or MapBlockOptions())
+    assert load(blocks, street()) == 8
+    return blocks
 
 
 def at(east_m: float, north_m: float) -> tuple[float, float]:
@@ -98,8 +108,7 @@ def at(east_m: float, north_m: float) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def block() -> MapBlock:
-    blocks = MapBlockStore()
-    load(blocks, street())
+    blocks = loaded()
     result = blocks.block_at(*at(5.0, -5.0))
     assert result is not None, blocks.reason
     return result
@@ -196,8 +205,7 @@ def test_a_layer_that_begins_at_the_road_reaches_below_it(block: MapBlock) -> No
 
 
 def test_a_block_is_built_once_while_it_is_in_use() -> None:
-    blocks = MapBlockStore()
-    load(blocks, street())
+    blocks = loaded()
     first = blocks.block_at(*at(5.0, -5.0))
     assert blocks.block_at(*at(60.0, -60.0)) is first
     other = blocks.block_at(*at(-5.0, -5.0))
@@ -206,15 +214,13 @@ def test_a_block_is_built_once_while_it_is_in_use() -> None:
 
 
 def test_no_tile_is_asked_for_twice_while_it_is_near() -> None:
-    blocks = MapBlockStore()
-    assert load(blocks, street()) == 8
+    blocks = loaded()
     for east in range(-90, 91, 10):
         assert blocks.tiles_needed(*at(float(east), 5.0)) == []
 
 
 def test_only_the_last_few_blocks_are_kept() -> None:
-    blocks = MapBlockStore(MapBlockOptions(blocks=2))
-    load(blocks, street())
+    blocks = loaded(MapBlockOptions(blocks=2))
     first = blocks.block_at(*at(5.0, -5.0))
     blocks.block_at(*at(-5.0, -5.0))
     blocks.block_at(*at(-5.0, 5.0))
@@ -224,8 +230,7 @@ def test_only_the_last_few_blocks_are_kept() -> None:
 
 
 def test_tiles_far_away_are_forgotten() -> None:
-    blocks = MapBlockStore()
-    load(blocks, street())
+    blocks = loaded()
     held = blocks.points
     assert held > 0
     blocks.drop_far_tiles(*at(3000.0, 0.0))
@@ -236,8 +241,7 @@ def test_tiles_far_away_are_forgotten() -> None:
 
 def test_where_the_map_has_nothing_the_reason_is_reported() -> None:
     blocks = MapBlockStore()
-    for layer, x, y in blocks.tiles_needed(*CORNER):
-        blocks.set_tile(layer, x, y, None, "datum_mismatch")
+    load(blocks, street(), lambda layer, x: False, "datum_mismatch")
     assert blocks.block_at(*CORNER) is None
     assert "datum_mismatch" in blocks.reason
     assert blocks.tiles_needed(*CORNER) == []
@@ -247,10 +251,7 @@ def test_where_the_map_has_nothing_the_reason_is_reported() -> None:
 
 def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
     blocks = MapBlockStore()
-    clouds = street()
-    for layer, x, y in blocks.tiles_needed(*CORNER):
-        there = tile(layer, x, y, clouds[layer]) if x == X else None
-        blocks.set_tile(layer, x, y, there, "the release has no such tile")
+    load(blocks, street(), lambda layer, x: x == X)
     result = blocks.block_at(*at(5.0, -5.0))
     assert {f"{layer} {X - 1} {y}" for layer in CLOUD_LAYERS for y in (Y - 1, Y)} <= set(result.missing)
     assert f"road_cloud {X} {Y}" not in result.missing
@@ -258,17 +259,13 @@ def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
 
 def test_an_environment_without_a_road_is_no_block() -> None:
     blocks = MapBlockStore()
-    clouds = street()
-    for layer, x, y in blocks.tiles_needed(*CORNER):
-        there = tile(layer, x, y, clouds[layer]) if layer == "environment_cloud" else None
-        blocks.set_tile(layer, x, y, there)
+    load(blocks, street(), lambda layer, x: layer == "environment_cloud")
     assert blocks.block_at(*CORNER) is None
     assert "road" in blocks.reason
 
 
 def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
-    blocks = MapBlockStore()
-    load(blocks, street())
+    blocks = loaded()
     first = blocks.block_at(*at(5.0, -5.0))
     moved = {layer: points + np.array([0.0, 0.0, 1.0]) for layer, points in street().items()}
     for layer in CLOUD_LAYERS:
@@ -281,12 +278,11 @@ def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
 
 
 def test_a_tile_that_was_missing_and_comes_with_a_new_map_makes_blocks_anew() -> None:
-    blocks, clouds = MapBlockStore(), street()
-    for layer, x, y in blocks.tiles_needed(*CORNER):
-        blocks.set_tile(layer, x, y, tile(layer, x, y, clouds[layer]) if x == X else None)
+    blocks = MapBlockStore()
+    load(blocks, street(), lambda layer, x: x == X)
     first = blocks.block_at(*at(5.0, -5.0))
     blocks.forget_missing()
-    load(blocks, clouds)
+    load(blocks, street())
     again = blocks.block_at(*at(5.0, -5.0))
     assert again.missing != first.missing
     assert len(again.environment_m) > len(first.environment_m)
@@ -336,15 +332,8 @@ def test_beyond_the_tiles_there_is_no_block() -> None:
 
 def test_points_of_a_tile_that_reach_nowhere_are_dropped() -> None:
     quanta = np.array([[0, 0, 0], [200_000_000, 0, 0], [0, 0, 2_000_000_000]], np.int32)
-    odd = CloudTile(
-        time_ns=1_400_000_000 * 10**9,
-        x=X,
-        y=Y,
-        layer="road_cloud",
-        base_height_m=45.0,
-        resolution_m=1.0,
-        quanta=quanta,
-    )
+    there = tile("road_cloud", X, Y, street()["road_cloud"])
+    odd = there.model_copy(update={"resolution_m": 1.0, "quanta": quanta})
     blocks = MapBlockStore()
     blocks.set_tile("road_cloud", X, Y, odd)
     assert blocks.points == 1

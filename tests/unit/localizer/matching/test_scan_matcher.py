@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from random import Random
 from typing import Any
 
@@ -22,13 +22,8 @@ from support.street_drive import LIDAR_HEIGHT_M, NS, StreetDrive
 
 
 def only(sweep: Sweep, rows: np.ndarray) -> Sweep:
-    return sweep.model_copy(
-        update={
-            "points_m": sweep.points_m[rows],
-            "intensity": sweep.intensity[rows],
-            "offset_ns": sweep.offset_ns[rows],
-        }
-    )
+    columns = ("points_m", "intensity", "offset_ns")
+    return sweep.model_copy(update={name: getattr(sweep, name)[rows] for name in columns})
 
 
 def test_a_given_pose_that_is_off_is_put_right_and_held() -> None:
@@ -55,33 +50,25 @@ def test_the_sensors_height_is_that_above_the_road() -> None:
     assert match.road_slope_forward == pytest.approx(0.0, abs=0.005)
 
 
-def no_sweeps(sweep: Sweep) -> Iterator[Sweep]:
-    return iter(())
+def no_sweeps(sweep: Sweep) -> list[Sweep]:
+    return []
 
 
-def empty(sweep: Sweep) -> Iterator[Sweep]:
-    yield only(sweep, np.zeros(0, np.int64))
+BROKEN: dict[str, Callable[[Sweep], list[Sweep]]] = {
+    "none": no_sweeps,
+    "empty": lambda sweep: [only(sweep, np.zeros(0, np.int64))],
+    "from the future": lambda sweep: [sweep.model_copy(update={"time_ns": sweep.time_ns + 3600 * NS})],
+    "from the past": lambda sweep: [sweep.model_copy(update={"time_ns": sweep.time_ns - 60 * NS})],
+    "stopped clock": lambda sweep: [
+        sweep.model_copy(update={"time_ns": sweep.time_ns // (100 * NS) * 100 * NS})
+    ],
+    "all nan": lambda sweep: [sweep.model_copy(update={"points_m": np.full_like(sweep.points_m, np.nan)})],
+}
 
 
-def from_the_future(sweep: Sweep) -> Iterator[Sweep]:
-    yield sweep.model_copy(update={"time_ns": sweep.time_ns + 3600 * NS})
-
-
-def from_the_past(sweep: Sweep) -> Iterator[Sweep]:
-    yield sweep.model_copy(update={"time_ns": sweep.time_ns - 60 * NS})
-
-
-def stopped_clock(sweep: Sweep) -> Iterator[Sweep]:
-    yield sweep.model_copy(update={"time_ns": sweep.time_ns - sweep.time_ns % (100 * NS)})
-
-
-def all_nan(sweep: Sweep) -> Iterator[Sweep]:
-    yield sweep.model_copy(update={"points_m": np.full_like(sweep.points_m, np.nan)})
-
-
-@pytest.mark.parametrize("broken", [no_sweeps, empty, from_the_future, from_the_past, stopped_clock, all_nan])
+@pytest.mark.parametrize("broken", BROKEN.values(), ids=BROKEN)
 def test_without_usable_sweeps_the_mode_is_dead_reckoning_with_a_reason(
-    broken: Callable[[Sweep], Iterator[Sweep]],
+    broken: Callable[[Sweep], list[Sweep]],
 ) -> None:
     drive = StreetDrive(begin_m=-40.0)
     drive.run(20)
@@ -97,12 +84,11 @@ def test_without_usable_sweeps_the_mode_is_dead_reckoning_with_a_reason(
 
 
 def test_some_nan_points_and_half_a_sweep_do_no_harm() -> None:
-    def damaged(sweep: Sweep) -> Iterator[Sweep]:
+    def damaged(sweep: Sweep) -> list[Sweep]:
         points_m = sweep.points_m.copy()
         points_m[::3] = np.nan
-        yield only(
-            sweep.model_copy(update={"points_m": points_m}), np.flatnonzero(sweep.points_m[:, 0] > 0.0)
-        )
+        damaged = sweep.model_copy(update={"points_m": points_m})
+        return [only(damaged, np.flatnonzero(sweep.points_m[:, 0] > 0.0))]
 
     drive = StreetDrive()
     drive.run(40, sweeps=damaged)
@@ -119,8 +105,8 @@ def test_a_sensor_that_is_not_where_its_mount_says_moves_nothing() -> None:
 
 
 def test_a_mirrored_sensor_never_gives_a_confident_wrong_pose() -> None:
-    def mirrored(sweep: Sweep) -> Iterator[Sweep]:
-        yield sweep.model_copy(update={"points_m": sweep.points_m * np.array([1, -1, 1], np.float32)})
+    def mirrored(sweep: Sweep) -> list[Sweep]:
+        return [sweep.model_copy(update={"points_m": sweep.points_m * np.array([1, -1, 1], np.float32)})]
 
     drive = StreetDrive(begin_m=-40.0)
     drive.run(80, sweeps=mirrored)

@@ -63,10 +63,20 @@ def test_the_correction_puts_the_frame_onto_the_road() -> None:
     np.testing.assert_allclose(on_road[:, 2], 0.3 + 0.1 * on_road[:, 0], atol=1e-3)
 
 
-def test_crossfall_with_points_to_one_side_only_does_not_lift_the_line() -> None:
-    points = road(left=0.03)
-    result = road_line(points[points[:, 1] > -0.5])
-    assert result.dz_m == pytest.approx(0.0, abs=0.01)
+CROSSFALL = road(left=0.03)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        CROSSFALL[CROSSFALL[:, 1] > -0.5],
+        np.concatenate((road(2, n=800), road(3, n=8000, up_m=6.0))),
+        np.concatenate((road(4), cars(5))),
+    ],
+    ids=["crossfall with points to one side only", "another road above", "kerbs and clutter"],
+)
+def test_what_else_is_seen_does_not_lift_the_line(points: Floats) -> None:
+    assert road_line(points).dz_m == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_crowned_road_is_measured_on_the_driven_side() -> None:
@@ -77,16 +87,6 @@ def test_a_crowned_road_is_measured_on_the_driven_side() -> None:
     assert line.dz_m == pytest.approx(0.0, abs=0.008)
     assert math.tan(line.droll_rad) == pytest.approx(0.03, abs=0.004)
     assert plane.dz_m == pytest.approx(0.0, abs=0.012)
-
-
-def test_another_road_above_does_not_count() -> None:
-    result = road_line(np.concatenate((road(2, n=800), road(3, n=8000, up_m=6.0))))
-    assert result.dz_m == pytest.approx(0.0, abs=0.01)
-
-
-def test_kerbs_and_clutter_do_not_lift_the_line() -> None:
-    result = road_line(np.concatenate((road(4), cars(5))))
-    assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("n", [0, 5, 14])

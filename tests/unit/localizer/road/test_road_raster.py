@@ -91,18 +91,17 @@ def test_no_height_lies_between_two_roads(
         assert -1.4 <= result.height_m <= 1.4 or 4.1 <= result.height_m <= 7.9
 
 
-def test_driving_below_every_point_is_above_the_road_below(crossing: RoadHeights) -> None:
-    points = np.random.default_rng(4).uniform((-55.0, -3.5, -1.0), (55.0, 3.5, 9.0), (500, 3))
-    surface = crossing.surface_through(-50.0, 0.0, -1.0)
-    truth = points[:, 2] - low(points[:, 0], points[:, 1])
-    np.testing.assert_allclose(surface.height_above(points), truth, atol=0.02)
-
-
-def test_driving_above_every_point_is_above_the_road_above(crossing: RoadHeights) -> None:
-    points = np.random.default_rng(5).uniform((-3.5, -55.0, -1.0), (3.5, 55.0, 9.0), (500, 3))
-    surface = crossing.surface_through(0.0, 40.0, 4.8)
-    truth = points[:, 2] - high(points[:, 0], points[:, 1])
-    np.testing.assert_allclose(surface.height_above(points), truth, atol=0.02)
+@pytest.mark.parametrize(
+    ("height", "place", "reach_m"),
+    [(low, (-50.0, 0.0, -1.0), (55.0, 3.5)), (high, (0.0, 40.0, 4.8), (3.5, 55.0))],
+)
+def test_every_point_is_above_the_road_driven_on(
+    crossing: RoadHeights, height: Height, place: tuple[float, float, float], reach_m: tuple[float, float]
+) -> None:
+    east_m, north_m = reach_m
+    points = np.random.default_rng(4).uniform((-east_m, -north_m, -1.0), (east_m, north_m, 9.0), (500, 3))
+    truth = points[:, 2] - height(points[:, 0], points[:, 1])
+    np.testing.assert_allclose(crossing.surface_through(*place).height_above(points), truth, atol=0.02)
 
 
 def test_a_ramp_leads_from_one_road_to_the_other_and_stays_apart_where_it_joins() -> None:
