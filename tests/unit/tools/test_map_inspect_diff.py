@@ -20,6 +20,7 @@ from camber.tools.maps.release_at import release_at
 from support import lanelet_maps, opendrive_maps
 from support.lanelet_maps import lanelet2_bytes
 from support.opendrive_maps import opendrive_bytes
+from support.refusals import Refused
 from support.small_map import link, surface, write
 
 LINE = [(-10.0, 0.0), (10.0, 0.0)]
@@ -72,15 +73,11 @@ def test_a_store_is_reported_as_its_release_and_missing_tiles_are_counted(tmp_pa
     assert inspected(tmp_path / "part.sqlite")["tiles not fetched"] == 1
 
 
-def test_a_damaged_store_is_one_line_and_stays_where_it_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_store_is_one_line_and_stays_where_it_is(tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "map.sqlite"
     path.write_bytes(b"SQLite format 3\x00" + bytes(500))
-    assert cli.main(["map", "inspect", str(path)]) == 2
-    assert capsys.readouterr().err.startswith(
-        f"camber map inspect: {path}: store, expected a readable store of the map"
-    )
+    line = refused(cli.main, "map", "inspect", path)
+    assert line.startswith(f"camber map inspect: {path}: store, expected a readable store of the map")
     assert [entry.name for entry in tmp_path.iterdir()] == ["map.sqlite"]
 
 
@@ -105,13 +102,11 @@ def test_a_map_that_is_not_imported_yet_says_what_must_be_named(
 
 
 @pytest.mark.parametrize("name", ["town.shp", "nothing"])
-def test_what_is_no_map_is_one_line(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_map_is_one_line(name: str, tmp_path: Path, refused: Refused) -> None:
     if name != "nothing":
         (tmp_path / name).write_bytes(b"x")
-    assert cli.main(["map", "inspect", str(tmp_path / name)]) == 2
-    output = capsys.readouterr().err
-    assert output.startswith(f"camber map inspect: {tmp_path / name}: ")
-    assert output.count("\n") == 1
+    line = refused(cli.main, "map", "inspect", tmp_path / name)
+    assert line.startswith(f"camber map inspect: {tmp_path / name}: ")
 
 
 def test_a_difference_names_surfaces_heights_lineage_and_tiles(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from support.lanelet_maps import (
     street_height_m,
     town,
 )
+from support.refusals import Refused
 
 Floats = NDArray[np.float64]
 
@@ -144,15 +144,14 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
     ],
 )
 def test_heights_of_an_unknown_kind_are_refused_in_one_line(
-    options: tuple[str, ...], output: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], output: str, tmp_path: Path, refused: Refused
 ) -> None:
-    (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    arguments = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *COMMON, *options]
-    assert cli.main([*arguments, "--out", str(tmp_path / "map")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"camber map build lanelet2: {tmp_path / 'town.osm'}: ")
-    assert output in error
-    assert error.count("\n") == 1
+    path = tmp_path / "town.osm"
+    path.write_bytes(lanelet2_bytes(town()))
+    out = ("--out", tmp_path / "map")
+    line = refused(cli.main, "map", "build", "lanelet2", path, *COMMON, *options, *out)
+    assert line.startswith(f"camber map build lanelet2: {path}: ")
+    assert output in line
     assert not (tmp_path / "map").exists()
 
 
@@ -169,10 +168,9 @@ def test_an_undulation_that_the_user_answers_for_stands_in_the_release(tmp_path:
     assert result - bridge_height_m(np.array([20.0]), np.zeros(1)) == pytest.approx(45.5, abs=1e-3)
 
 
-def test_a_recorded_circuit_is_followed_within_a_centimetre(tmp_path: Path) -> None:
-    data = os.environ.get("CAMBER_DATA")
-    path = Path(data or "") / "lanelet2" / "monza.osm"
-    if data is None or not path.exists():
+def test_a_recorded_circuit_is_followed_within_a_centimetre(data: Path, tmp_path: Path) -> None:
+    path = data / "lanelet2" / "monza.osm"
+    if not path.exists():
         pytest.skip("CAMBER_DATA does not name a folder with lanelet2")
     arguments = ["map", "build", "lanelet2", str(path), *COMMON, "--vertical-datum", "ellipsoidal"]
     assert cli.main([*arguments, "--out", str(tmp_path / "map")]) == 0

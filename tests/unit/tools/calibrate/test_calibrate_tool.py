@@ -13,7 +13,6 @@ import pytest
 from camber import cli
 from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.learning.residuals import ReferenceKey
-from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
@@ -22,6 +21,7 @@ from camber.tools.calibrate.calibration import calibrate_horizontal
 from camber.tools.calibrate.calibration_run import estimate_antenna_height, pair
 from camber.tools.calibrate.command import calibrate
 from support import judging
+from support.refusals import Refused
 
 FRAME = LocalFrame(judging.LATITUDE_RAD, judging.LONGITUDE_RAD, judging.ROAD_M)
 LEVER_M, BASE_M = (0.4, -0.3), (0.7, 0.2, 0.1)
@@ -48,12 +48,6 @@ def drive(
         up_m = BASE_M[2] + rng.normal(0.0, 0.02)
         fixes.append(judging.fix(epoch, up_m=up_m, latitude_rad=at[0], longitude_rad=at[1]))
     return fixes, poses
-
-
-@pytest.fixture(scope="module")
-def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes without a LiDAR."""
-    return write_short_drive(tmp_path_factory.mktemp("short") / "drive", 1)
 
 
 def test_lever_arm_base_and_height_follow_from_fixes_and_poses() -> None:
@@ -173,7 +167,7 @@ def test_it_writes_the_toml_to_the_file_given(
     ],
 )
 def test_what_is_missing_is_one_line_and_code_2(
-    blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str, expected: str
+    blind: Path, tmp_path: Path, refused: Refused, table: str, expected: str
 ) -> None:
     folder = tmp_path / "drive"
     shutil.copytree(blind.parent, folder)
@@ -184,18 +178,15 @@ def test_what_is_missing_is_one_line_and_code_2(
         if not inside:
             kept.append(line)
     (folder / blind.name).write_text("\n".join(kept))
-    assert cli.main(["calibrate", str(folder / blind.name), "--quiet"]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert expected in line
+    assert expected in refused(cli.main, "calibrate", folder / blind.name, "--quiet")
 
 
 def test_a_drive_without_fixes_is_one_line(
-    blind: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    blind: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair([], []))
-    assert cli.main(["calibrate", str(blind)]) == 2
-    assert "0 fixes" in capsys.readouterr().err
-    assert cli.main(["calibrate", "nowhere.toml"]) == 2
+    assert "0 fixes" in refused(cli.main, "calibrate", blind)
+    refused(cli.main, "calibrate", "nowhere.toml")
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -33,12 +33,12 @@ from camber.formats.rtcm.writer import format_ephemeris, format_observations, fo
 from camber.formats.ubx.nav_writer import format_position_velocity_time
 from camber.formats.ubx.writer import format_raw_measurements
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
-from camber.tools.gnss import inspect as gnss_inspect
 from camber.tools.gnss import recording_file
 from camber.tools.gnss.inspect import inspect_recording
 from camber.tools.gnss.inspect_text import text_of
 from support.gnss_files import observation_text, read_observations
 from support.random_observations import random_ephemeris, random_epoch
+from support.refusals import Refused
 
 NS = 1_000_000_000
 FIRST_NS = gps_ns_from_gpst(CalendarTime(2025, 5, 14, 3, 20, 0))
@@ -162,23 +162,16 @@ def test_names_of_messages_are_those_of_a_second_implementation() -> None:
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_one_clear_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | str, output: str
+    tmp_path: Path, refused: Refused, content: bytes | str, output: str
 ) -> None:
-    code, out, err = run(write(tmp_path, content), capsys)
-    assert (code, out) == (2, "")
-    assert err.startswith("camber gnss inspect: recording:")
-    assert output in err
-    assert err.count("\n") == 1
+    line = refused(cli.main, "gnss", "inspect", write(tmp_path, content))
+    assert line.startswith("camber gnss inspect: recording:")
+    assert output in line
 
 
-def test_a_file_that_is_not_there_is_one_clear_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_not_there_is_one_clear_line(tmp_path: Path, refused: Refused) -> None:
     for path in (tmp_path / "absent", tmp_path):
-        code, out, err = run(path, capsys)
-        assert (code, out) == (2, "")
-        assert str(path) in err
-        assert err.count("\n") == 1
+        assert str(path) in refused(cli.main, "gnss", "inspect", path)
 
 
 def test_a_truncated_file_is_shown_up_to_its_damage_which_is_reported(
@@ -521,13 +514,6 @@ def test_damage_is_counted_or_reported_in_one_line(
 # recordings
 
 
-@pytest.fixture(scope="module")
-def data() -> Path:
-    if not os.environ.get("CAMBER_DATA"):
-        pytest.skip("CAMBER_DATA is not set: the recordings are not here")
-    return Path(os.environ["CAMBER_DATA"])
-
-
 def test_rooftop_holds_what_its_readme_says(data: Path) -> None:
     report = inspect_recording(data / "rooftop-2024-06-24" / "rover.obs")
     assert report["header"]["receiver"] == "SEPT MOSAIC-X5"
@@ -555,7 +541,3 @@ def test_no_receiver_log_is_too_odd(data: Path) -> None:
     assert reports["ubx-pygpsdata-BADCK2.log"]["counters"]["failed_checks"] == 2
     assert only(reports["ubx-pygpsdata-RXMRAWX.log"])["time"]["epochs"] == 14
     assert reports["ubx-pygpsdata-MIXED.log"]["positions"]["by_quality"] == {"single": 39}
-
-
-def test_main_is_what_the_command_runs() -> None:
-    assert cli.GNSS_COMMANDS["inspect"].module == gnss_inspect.__name__

@@ -14,7 +14,6 @@ import pytest
 from camber import cli
 from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.short_drive import write_short_drive
 from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
@@ -24,6 +23,7 @@ from camber.tools.localize.drive_anchors import receiver_fixes
 from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import LocalizedDrive, localize
+from support.refusals import Refused
 
 STREET = (
     "duration_s=2.5",
@@ -48,12 +48,6 @@ def matched(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     """What the command has left of that street, and its output."""
     out = tmp_path_factory.mktemp("matched")
     return out, localize_drive(load_manifest(street), out, LocalizeOptions(pictures_s=(1.5, 99.0)))
-
-
-@pytest.fixture(scope="module")
-def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes without a LiDAR."""
-    return write_short_drive(tmp_path_factory.mktemp("short") / "drive", 1)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -208,13 +202,12 @@ def test_what_a_drive_lacks_is_one_line(
     expected: str,
     street: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     manifest = load_manifest(street).model_copy(update=removed)
     monkeypatch.setattr("camber.tools.localize.command.load_manifest", lambda *_: manifest)
-    assert cli.main(["localize", str(street), "--out", str(tmp_path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refused(cli.main, "localize", street, "--out", tmp_path)
     assert line.startswith(f"camber localize: canyon: {expected}")
 
 
@@ -228,37 +221,26 @@ def test_what_a_drive_lacks_is_one_line(
     ],
 )
 def test_what_is_wrong_is_one_line(
-    arguments: list[str], expected: str, blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], expected: str, blind: Path, tmp_path: Path, refused: Refused
 ) -> None:
-    given = ["localize", str(blind), "--out", str(tmp_path), "--no-match-sweeps", *arguments]
-    assert cli.main(given) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refused(cli.main, "localize", blind, "--out", tmp_path, "--no-match-sweeps", *arguments)
     assert line.startswith("camber localize: ")
     assert expected in line
 
 
-def test_a_broken_file_is_named_with_its_line(
-    blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_file_is_named_with_its_line(blind: Path, tmp_path: Path, refused: Refused) -> None:
     drive = tmp_path / "drive"
     shutil.copytree(blind.parent, drive)
     lines = (drive / "motion.csv").read_text().splitlines()
     lines[40] = "1,2,three," + lines[40]
     (drive / "motion.csv").write_text("\n".join(lines) + "\n")
-    code = cli.main(
-        ["localize", str(drive / "drive.toml"), "--out", str(tmp_path / "out"), "--no-match-sweeps"]
-    )
-    assert code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    out = tmp_path / "out"
+    line = refused(cli.main, "localize", drive / "drive.toml", "--out", out, "--no-match-sweeps")
     assert line.startswith("camber localize: motion.csv:41: ")
 
 
-def test_a_folder_that_cannot_be_written_is_named(
-    blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_written_is_named(blind: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "file").write_text("")
-    assert (
-        cli.main(["localize", str(blind), "--out", str(tmp_path / "file" / "out"), "--no-match-sweeps"]) == 2
-    )
-    (line,) = capsys.readouterr().err.splitlines()
+    out = tmp_path / "file" / "out"
+    line = refused(cli.main, "localize", blind, "--out", out, "--no-match-sweeps")
     assert line.startswith(f"camber localize: {tmp_path / 'file'}")

@@ -14,7 +14,8 @@ from camber.runtime.service import Service
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.tools.operate import log_level as tool
-from support.running import free_port, wait_until
+from support.refusals import Refused
+from support.running import wait_until
 
 
 class Plain(Service[ServiceSettings]):
@@ -22,13 +23,6 @@ class Plain(Service[ServiceSettings]):
 
     NAME = "gnss"
     SETTINGS = ServiceSettings
-
-
-@pytest.fixture
-def endpoint() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    with open_session(ZenohSettings(mode="router", listen=[where], connect=[])):
-        yield where
 
 
 @pytest.fixture
@@ -67,11 +61,10 @@ def test_the_last_request_holds(endpoint: str, bus: Bus) -> None:
     assert bus.log_level == "warning"
 
 
-def test_an_absent_service_is_reported(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert request(endpoint, "integrity", "debug") == 1
-    assert "integrity: no answer: absent" in capsys.readouterr().err
-    assert request(endpoint, "sensors", "debug") == 1
-    assert "sensors: no answer: absent" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["integrity", "sensors"])
+def test_an_absent_service_is_reported(endpoint: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert request(endpoint, name, "debug") == 1
+    assert f"{name}: no answer: absent" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("10m", 600.0), ("1.5h", 5400.0)])
@@ -83,14 +76,9 @@ def test_durations(text: str, seconds: float) -> None:
     "arguments",
     [
         ["gnss", "loud"],
-        ["gnss", "debug", "--for", "10"],
-        ["gnss", "debug", "--for", "25h"],
-        ["gnss", "debug", "--timeout", "nan"],
-        ["gnss", "debug", "--timeout", "inf"],
-        ["gnss", "debug", "--timeout", "-1"],
+        *(["gnss", "debug", "--for", time] for time in ("10", "25h")),
+        *(["gnss", "debug", "--timeout", time] for time in ("nan", "inf", "-1")),
     ],
 )
-def test_wrong_usage_is_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        tool.main(arguments)
-    assert ended.value.code == 2
+def test_wrong_usage_is_code_2(arguments: list[str], refused: Refused) -> None:
+    assert ": error: " in refused(tool.main, *arguments)

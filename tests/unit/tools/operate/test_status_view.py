@@ -14,6 +14,7 @@ from camber.schemas.health import ChannelUse, Health, Issue
 from camber.tools.operate import status
 from camber.tools.operate.status_table import as_text, duration, fleet_text
 from camber.tools.operate.status_view import view_of
+from support.refusals import Refused
 
 NOW_NS = EARLIEST_NS + 10**18
 
@@ -182,11 +183,6 @@ def test_the_vehicle_is_the_one_that_is_named_or_that_of_the_settings(
 
 @pytest.mark.parametrize("option", ["--service", "--expect"])
 @pytest.mark.parametrize("name", ["a//b", "", "gnss/", "*", "a b"])
-def test_an_invalid_name_of_a_service_is_refused(
-    option: str, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        status.main([option, name])
-    assert ended.value.code == 2
-    output = capsys.readouterr().err.splitlines()[-1]
-    assert output == f"camber status: error: argument {option}: {name!r}: expected the name of a service"
+def test_an_invalid_name_of_a_service_is_refused(option: str, name: str, refused: Refused) -> None:
+    line = refused(status.main, option, name)
+    assert line == f"camber status: error: argument {option}: {name!r}: expected the name of a service"

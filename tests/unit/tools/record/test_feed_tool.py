@@ -29,6 +29,7 @@ from camber.schemas.motion import Motion
 from camber.tools.record import feed
 from camber.tools.record.feed import Epoch, epochs_of, passes, reversed_drive
 from support.gnss_files import read_pos
+from support.refusals import Refused
 
 _NS = 1_000_000_000
 _START_NS = 1_500_000_000 * _NS
@@ -82,9 +83,7 @@ def test_every_solution_and_every_sample_of_the_drive_is_fed(drive: Path, epochs
     assert len(motions(epochs)) == len((drive.parent / "motion.csv").read_text().splitlines()) - 1
 
 
-def test_each_message_can_be_decoded_alone_and_equals_the_solution(
-    epochs: tuple[Epoch, ...],
-) -> None:
+def test_each_message_can_be_decoded_alone_and_equals_the_solution(epochs: tuple[Epoch, ...]) -> None:
     offset_ns = 123_456 * 1_000_000
     for epoch in epochs:
         for name, message in epoch.moved(offset_ns).messages(SweepReader()):
@@ -128,24 +127,25 @@ def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: t
     assert [next(drive_passes) for _ in range(4)] == [epochs, back, epochs, back]
 
 
-def fed(epochs: Sequence[Epoch], bus: FakeBus, sleeps: dict[int, float] | None = None) -> tuple[int, int]:
+def fed(epochs: Sequence[Epoch], sleeps: dict[int, float] | None = None) -> tuple[FakeBus, tuple[int, int]]:
+    """The bus of a pass, and what the pass returned."""
+    bus = FakeBus(_START_NS)
     stop = FakeStop(bus, sleeps)
-    return feed.feed_pass(epochs, bus, stop, start_ns=_START_NS, reader=SweepReader())  # type: ignore[arg-type]
+    ended = feed.feed_pass(epochs, bus, stop, start_ns=_START_NS, reader=SweepReader())  # type: ignore[arg-type]
+    return bus, ended
 
 
 def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch, ...]) -> None:
-    bus = FakeBus(_START_NS)
-    next_ns, missed = fed(epochs[:50], bus)
+    bus, ended = fed(epochs[:50])
     assert max(abs(at - message.time_ns) for at, _, message in bus.sent) <= 1_000_000
     times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
     assert times == [_START_NS + n * _NS // 5 for n in range(50)]
-    assert (next_ns, missed) == (_START_NS + 10 * _NS, 0)
+    assert ended == (_START_NS + 10 * _NS, 0)
 
 
 def test_what_a_machine_was_too_late_for_is_left_out_and_nothing_is_moved(epochs: tuple[Epoch, ...]) -> None:
     """As a vehicle drives on: its wheels turned, so it is further."""
-    bus = FakeBus(_START_NS)
-    ended = fed(epochs[:50], bus, {20: 3.05})
+    bus, ended = fed(epochs[:50], {20: 3.05})
     times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
     # The one that was waited for would be 3.05 s late, and twelve more would be by over half a second.
     published = [n for n in range(50) if not 20 <= n < 33]
@@ -157,8 +157,7 @@ def test_what_a_machine_was_too_late_for_is_left_out_and_nothing_is_moved(epochs
 def test_after_a_machine_slept_for_long_the_drive_goes_on_from_where_it_was(
     epochs: tuple[Epoch, ...],
 ) -> None:
-    bus = FakeBus(_START_NS)
-    ended = fed(epochs[:50], bus, {20: 90.0})
+    bus, ended = fed(epochs[:50], {20: 90.0})
     moved = [message for _, name, message in bus.sent if name == "motion"]
     assert len(moved) == 50
     assert max(at - message.time_ns for at, _, message in bus.sent) < 1_000_000
@@ -224,18 +223,14 @@ def sweeps_of(bus: FakeBus) -> list[tuple[int, Sweep]]:
 
 
 def test_sweeps_go_out_at_their_time_and_are_dated_so(swept: tuple[Epoch, ...]) -> None:
-    bus = FakeBus(_START_NS)
-    fed(swept, bus)
-    sweeps = sweeps_of(bus)
+    sweeps = sweeps_of(fed(swept)[0])
     assert [sweep.time_ns - _START_NS for _, sweep in sweeps] == [k * SWEEP_NS for k in (3, 4, 5)]
     assert all(abs(at - sweep.time_ns) <= 1_000_000 for at, sweep in sweeps)
     assert [float(sweep.points_m[0, 0]) for _, sweep in sweeps] == [3.0, 4.0, 5.0]
 
 
 def test_in_reverse_a_sweep_turns_the_opposite_direction(swept: tuple[Epoch, ...]) -> None:
-    bus = FakeBus(_START_NS)
-    fed(reversed_drive(swept), bus)
-    sweeps = sweeps_of(bus)
+    sweeps = sweeps_of(fed(reversed_drive(swept))[0])
     span_ns = swept[-1].time_ns - swept[0].time_ns
     # A turn from 0.4 to 0.5 s is one from span − 0.5 to span − 0.4 s, but for the nanosecond of the first point.
     ends = [span_ns - 4 * SWEEP_NS - 1, span_ns - 3 * SWEEP_NS - 1]
@@ -259,11 +254,8 @@ def test_a_damaged_sweep_costs_itself_and_one_line(
     assert f"1 sweep could not be read and left out, the first: {damaged.name}" in line
 
 
-def test_a_drive_that_cannot_be_used_is_one_line_and_code_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert feed.main([str(tmp_path / "none.toml")]) == 2
-    assert capsys.readouterr().err.startswith("camber feed: ")
+def test_a_drive_that_cannot_be_used_is_one_line_and_code_2(tmp_path: Path, refused: Refused) -> None:
+    assert refused(feed.main, tmp_path / "none.toml").startswith("camber feed: ")
 
 
 def with_surrogate_map(folder: Path) -> Path:
@@ -284,34 +276,24 @@ def test_the_map_of_the_drive_stays_as_it_is(tmp_path: Path, monkeypatch: pytest
 
 
 def test_where_nothing_can_be_written_it_is_one_line_and_code_2(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    drive: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", "/proc/nowhere")
-    assert feed.main([str(drive)]) == 2
-    output = capsys.readouterr().err
-    assert output.startswith("camber feed: /proc/nowhere/")
-    assert output.count("\n") == 1
+    assert refused(feed.main, drive).startswith("camber feed: /proc/nowhere/")
 
 
-def test_what_is_no_endpoint_is_not_waited_for(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert feed.main([str(drive), "--connect", "127.0.0.1:7447"]) == 3
-    output = capsys.readouterr().err
-    assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in output
-    assert output.count("\n") == 1
+def test_what_is_no_endpoint_is_not_waited_for(drive: Path, refused: Refused) -> None:
+    line = refused(feed.main, drive, "--connect", "127.0.0.1:7447", code=3)
+    assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in line
 
 
 @pytest.mark.parametrize(
     ("expected", "named"), [(["--vehicle", "a b"], "vehicle:"), (["--connect", "tls/router:7447"], "tls_ca")]
 )
 def test_wrong_settings_of_the_bus_are_one_line_and_code_2(
-    drive: Path, expected: list[str], named: str, capsys: pytest.CaptureFixture[str]
+    drive: Path, expected: list[str], named: str, refused: Refused
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        feed.main([str(drive), *expected])
-    assert ended.value.code == 2
-    output = capsys.readouterr().err
-    assert named in output
-    assert output.count("\n") == 1
+    assert named in refused(feed.main, drive, *expected)
 
 
 def test_a_router_that_is_not_there_is_asked_for_in_peace(

@@ -18,6 +18,7 @@ from camber.schemas.motion import Motion
 from camber.tools.record.record import chosen, main
 from camber.tools.record.recording_files import RecordingFiles, RecordingLimits
 from support.messages import build
+from support.refusals import Refused
 
 T = 1_300_000_000 * 10**9
 UNIX = 1_700_000_000 * 10**9
@@ -190,37 +191,25 @@ def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: 
         chosen(names, without, sweeps=False)
 
 
-def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Of wrong usage: the last line, after argparse's own."""
-    with pytest.raises(SystemExit) as ended:
-        raise SystemExit(main(arguments))
-    assert ended.value.code == 2
-    return capsys.readouterr().err.splitlines()[-1]
-
-
 @pytest.mark.parametrize(
     "option", ["--duration", "--max-mb", "--max-minutes", "--keep-mb", "--leave-mb", "--timeout"]
 )
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "x"])
-def test_a_number_that_is_none_is_refused(
-    tmp_path: Path, option: str, number: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert f"argument {option}: " in error_of(["--out", str(tmp_path), f"{option}={number}"], capsys)
+def test_a_number_that_is_none_is_refused(tmp_path: Path, option: str, number: str, refused: Refused) -> None:
+    assert f"argument {option}: " in refused(main, "--out", tmp_path, f"{option}={number}")
 
 
 def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Refused
 ) -> None:
     (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
-    output = error_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
-    assert output == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
-    assert "argument --max-mb" in error_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
+    line = refused(main, "--out", tmp_path, "--keep-mb", "1500")
+    assert line == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
+    assert "argument --max-mb" in refused(main, "--out", tmp_path, "--max-mb", "0")
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_file_in_place_of_the_folder_is_wrong_usage(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("")
-    output = error_of(["--out", str(tmp_path / "file")], capsys)
-    assert output == f"camber record: --out {tmp_path / 'file'}: File exists"
+def test_a_file_in_place_of_the_folder_is_wrong_usage(tmp_path: Path, refused: Refused) -> None:
+    path = tmp_path / "file"
+    path.write_text("")
+    assert refused(main, "--out", path) == f"camber record: --out {path}: File exists"

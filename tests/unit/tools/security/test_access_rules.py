@@ -24,6 +24,7 @@ from camber.tools.security.access_rules import (
     vehicle_access_control,
 )
 from camber.tools.security.access_table import table_text
+from support.refusals import Refused
 from support.tree import ROOT
 
 ALL = ("vehicle", "map_update", "consumer", "judge", "operator")
@@ -63,8 +64,6 @@ def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
         Party(kind="consumer", name="routers"),
         Party(kind="vehicle", name="c", common_name="routers 1"),
         Party(kind="judge", name="vehicle"),
-    ]
-    parties += [
         Party(kind="vehicle", name="a"),
         Party(kind="operator", name="b", common_name="vehicle a"),
         Party(kind="consumer", name="d", common_name="a 1"),
@@ -150,10 +149,7 @@ def test_the_vehicle_s_router_mirrors_the_rules_of_the_cloud_s() -> None:
     "parties",
     [
         [Party(kind="vehicle", name="car-1"), Party(kind="consumer", name="car-1")],
-        [
-            Party(kind="vehicle", name="car-1", common_name="x"),
-            Party(kind="vehicle", name="car-2", common_name="x"),
-        ],
+        [Party(kind="vehicle", name=name, common_name="x") for name in ("car-1", "car-2")],
         [Party(kind="consumer", name="cloud")],
     ],
     ids=["one name", "one certificate", "the router's"],
@@ -181,35 +177,23 @@ def test_the_table_of_the_page_is_that_of_the_rules() -> None:
 
 
 @pytest.mark.parametrize("name", ["fleet", "car/1", "*", "car-1+2", ""])
-def test_a_name_that_would_be_something_else_in_a_key_is_refused(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert access.main(["vehicle", name, "--connect", "tls/c:1"]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err.count("\n") == 1
+def test_a_name_that_would_be_something_else_in_a_key_is_refused(name: str, refused: Refused) -> None:
+    refused(access.main, "vehicle", name, "--connect", "tls/c:1")
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/c:1", "unixsock-stream//c", "ws/c:1"])
-def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, refused: Refused) -> None:
     # Over anything else the cloud would be a service within.
-    assert access.main(["vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert f"--connect {endpoint}: expected tls/" in output.err
+    line = refused(access.main, "vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint)
+    assert f"--connect {endpoint}: expected tls/" in line
 
 
 @pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/0.0.0.0:7447"])
-def test_within_a_vehicle_nobody_is_taken_for_the_cloud(
-    endpoint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_within_a_vehicle_nobody_is_taken_for_the_cloud(endpoint: str, refused: Refused) -> None:
     arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
     assert access.main(arguments) == 0
-    capsys.readouterr()
-    assert access.main([*arguments, "--listen", endpoint]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…\n"
+    line = refused(access.main, *arguments, "--listen", endpoint)
+    assert line == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…"
 
 
 def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: Path) -> None:
@@ -226,18 +210,12 @@ def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: P
     assert list((tmp_path / "there").iterdir()) == [target]
 
 
-def test_where_a_file_cannot_be_written_nothing_is_left(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_where_a_file_cannot_be_written_nothing_is_left(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "folder").mkdir()
-    arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "folder")]
-    assert access.main(arguments) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    refused(access.main, "vehicle", "car-1", "--connect", "tls/c:1", "--out", tmp_path / "folder")
     assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-1"])
-def test_an_echo_is_waited_for_so_long_and_no_longer(number: str) -> None:
-    with pytest.raises(SystemExit) as ended:
-        access.main(["check", "vehicle.json5", f"--timeout-s={number}"])
-    assert ended.value.code == 2
+def test_an_echo_is_waited_for_so_long_and_no_longer(number: str, refused: Refused) -> None:
+    assert "--timeout-s" in refused(access.main, "check", "vehicle.json5", f"--timeout-s={number}")

@@ -15,8 +15,9 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.cloud_tiles import cloud_tiles
 from camber.road_map.release import Release, read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
+from support.nearest_surface import nearest_heights
+from support.refusals import Refused
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 NOW_NS = 1_400_000_000 * 10**9
@@ -82,14 +83,7 @@ def along(level: int) -> Floats:
 def heights(map_release: Release, places_m: Floats, level: int) -> Floats:
     surfaces = map_release.road_surfaces()
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(places_m, 0.0)
-    result, nearest = np.full(len(places_m), np.nan), np.full(len(places_m), 0.01)
-    for row in np.flatnonzero(surfaces.level == level):
-        height_m, outside_m = SurfaceHeights(surfaces).heights_m(
-            np.full(len(places_m), row), latitude, longitude
-        )
-        nearer = outside_m < nearest
-        result[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
-    return result
+    return nearest_heights(surfaces, latitude, longitude, near_m=0.01, level=level)[0]
 
 
 def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Path, tmp_path: Path) -> None:
@@ -169,9 +163,7 @@ def test_autoware_s_cells_hold_each_point_once_where_the_projector_says(
     assert 5990 <= count <= 6000  # see _points: on a border some are in neither tile
 
 
-def test_what_cannot_be_exported_is_one_clear_line(
-    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_exported_is_one_clear_line(tmp_path: Path, refused: Refused) -> None:
     bare = tmp_path / "bare"
     surfaces, links = road_and_bridge()
     write_release(
@@ -179,26 +171,11 @@ def test_what_cannot_be_exported_is_one_clear_line(
         surfaces=surfaces, links=links,
     )  # fmt: skip
     for folder, options in ((bare, ("--to", "pcd")), (tmp_path / "none", ("--to", "geojson"))):
-        assert main(["map", "export", str(folder), "--out", str(tmp_path / "x"), *options]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
+        refused(main, "map", "export", folder, "--out", tmp_path / "x", *options)
 
 
-def test_a_cell_without_size_is_refused(
-    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        main(
-            [
-                "map",
-                "export",
-                str(release),
-                "--out",
-                str(tmp_path / "x"),
-                "--to",
-                "geotiff",
-                "--cell-m",
-                "0.001",
-            ]
-        )
-    assert "--cell-m: '0.001', expected a number from 0.01 to 10000 m" in capsys.readouterr().err
+def test_a_cell_without_size_is_refused(release: Path, tmp_path: Path, refused: Refused) -> None:
+    options = ("--out", tmp_path / "x", "--to", "geotiff", "--cell-m", "0.001")
+    line = refused(main, "map", "export", release, *options)
+    assert "--cell-m: '0.001', expected a number from 0.01 to 10000 m" in line
     assert not (tmp_path / "x").exists()

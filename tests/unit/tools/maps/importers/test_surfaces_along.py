@@ -8,8 +8,8 @@ import pytest
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
+from support.nearest_surface import nearest_heights
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 SEEN_NS = 1_400_000_000 * 10**9
@@ -51,13 +51,7 @@ class HillWithHole:
 def covering(surfaces: RoadSurfaces, places_m: Floats) -> tuple[Floats, Floats]:
     """Height (n,) of the nearest surface at places, and how far off it is."""
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(places_m, 0.0)
-    heights = SurfaceHeights(surfaces)
-    height_m, outside_m = np.full(len(places_m), np.nan), np.full(len(places_m), np.inf)
-    for row in range(len(surfaces)):
-        surface_m, off_m = heights.heights_m(np.full(len(places_m), row), latitude, longitude)
-        nearer = off_m < outside_m
-        height_m[nearer], outside_m[nearer] = surface_m[nearer], off_m[nearer]
-    return height_m, outside_m
+    return nearest_heights(surfaces, latitude, longitude)
 
 
 BEND = np.column_stack(

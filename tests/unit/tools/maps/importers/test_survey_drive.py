@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +15,14 @@ from camber.formats.map_exchange.argoverse import read_log
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.codec import encode
 from camber.schemas.integrity import Verdict
 from camber.tools.maps.importers.argoverse import CityFrame
 from camber.tools.maps.importers.surfaces_along import Floats, surfaces_along
 from camber.tools.maps.importers.survey_drive import RoadTrack, drive_roads
+from support.nearest_surface import nearest_heights
+from support.refusals import Refused
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 START_NS = 1_400_000_000 * 10**9
@@ -31,24 +30,16 @@ ANTENNA_M = 1.8
 BUILD = ("--region", "t", "--datum", "WGS84", "--epoch-year", "2024.0")
 
 
-def heights(surfaces: RoadSurfaces, latitude: Floats, longitude: Floats, near_m: float = 0.5) -> Floats:
-    """Of the nearest surface, NaN where none is within `near_m`."""
-    result, nearest = np.full(len(latitude), np.nan), np.full(len(latitude), near_m)
-    asked = SurfaceHeights(surfaces)
-    for row in range(len(surfaces)):
-        height_m, outside_m = asked.heights_m(np.full(len(latitude), row), latitude, longitude)
-        nearer = outside_m < nearest
-        result[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
-    return result
+def heights(surfaces: RoadSurfaces, latitude: Floats, longitude: Floats, level: int | None = None) -> Floats:
+    """Of the nearest surface, NaN where none is within half a metre."""
+    return nearest_heights(surfaces, latitude, longitude, near_m=0.5, level=level)[0]
 
 
 @pytest.mark.parametrize("name", ["7fab2350", "3bffdcff"])
 @pytest.mark.parametrize("block_m", [0.0, 3.0, 5.0])
-def test_half_of_the_poses_predict_the_other_half(name: str, block_m: float) -> None:
+def test_half_of_the_poses_predict_the_other_half(data: Path, name: str, block_m: float) -> None:
     """Every other pose, and every other stretch of three and five metres."""
-    if not os.environ.get("CAMBER_DATA"):
-        pytest.skip("CAMBER_DATA is not set: no recordings")
-    log = read_log(Path(os.environ["CAMBER_DATA"]) / "av2" / name)
+    log = read_log(data / "av2" / name)
     places_m = log.city_from_egovehicle[:, :3, 3]
     latitude, longitude = CityFrame.of_city(log.city).to_geodetic(places_m[:, 0], places_m[:, 1])
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places_m[:, :2], axis=0).T)))
@@ -106,22 +97,12 @@ def test_a_drive_over_its_earlier_road_makes_two_levels_and_none_without_positio
     place = np.array([[20.0, 0.0], [50.0, 0.0], [100.0, 0.0], [150.0, 1.0]])
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(place, 0.0)
     by_level = {
-        level: heights(_of_level(surfaces, level), latitude, longitude)
-        for level in np.unique(surfaces.level).tolist()
+        level: heights(surfaces, latitude, longitude, level) for level in np.unique(surfaces.level).tolist()
     }
     assert set(by_level) == {0, 1}
     assert by_level[0][[0, 1, 3]] == pytest.approx([50.6, 51.5, 54.5], abs=0.02)
     assert math.isnan(by_level[0][2])
     assert by_level[1][1] == pytest.approx(57.5, abs=0.02)
-
-
-def _of_level(surfaces: RoadSurfaces, level: int) -> RoadSurfaces:
-    rows = np.flatnonzero(surfaces.level == level)
-    columns: dict[str, Any] = {
-        name: [getattr(surfaces, name)[row] for row in rows.tolist()]
-        for name in surfaces.__dataclass_fields__
-    }
-    return RoadSurfaces(**columns)
 
 
 def recorded(path: Path, method: str, wrong_from: int) -> Path:
@@ -164,22 +145,19 @@ def test_of_a_replay_only_what_the_judge_confirmed_becomes_road(tmp_path: Path) 
     assert np.isnan(road_m[66:]).all()
 
 
-def test_an_antenna_s_height_that_rests_on_the_map_makes_no_map(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_antenna_s_height_that_rests_on_the_map_makes_no_map(tmp_path: Path, refused: Refused) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
-    assert build(recorded(folder, "scan_matching", 60)) == 2
-    assert "does not rest on the map" in capsys.readouterr().err
+    line = refused(lambda _: build(recorded(folder, "scan_matching", 60)))
+    assert "does not rest on the map" in line
     assert build(folder, "--antenna-height-m", f"{ANTENNA_M}") == 0
 
 
 def test_a_truth_without_an_antenna_s_height_or_that_stands_still_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Refused
 ) -> None:
     write_truth(tmp_path / "truth.csv", drive())
-    assert build(tmp_path / "truth.csv") == 2
-    assert "--antenna-height-m" in capsys.readouterr().err
+    assert "--antenna-height-m" in refused(lambda _: build(tmp_path / "truth.csv"))
     still = drive().rows(np.array([0]))
     write_truth(tmp_path / "truth.csv", still)
     assert build(tmp_path / "truth.csv", "--antenna-height-m", "1.8") == 2
