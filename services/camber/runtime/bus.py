@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
@@ -18,7 +18,7 @@ import zenoh
 
 from camber.runtime.clock import Clock, SystemClock
 from camber.runtime.health.issue_log import IssueLog
-from camber.runtime.log import TemporaryLogLevel, make_logger
+from camber.runtime.log import make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, Channel, outputs_of
@@ -108,9 +108,11 @@ class Bus:
     def __init__(self, session: zenoh.Session, settings: ServiceSettings, service: str, clock: Clock) -> None:
         self.service = service
         self.settings = settings
-        self.log = make_logger(service, level=settings.log_level, form=settings.log_format)
-        self._level = TemporaryLogLevel(settings.log_level)
+        self.log_level: LogLevel = settings.log_level  # least level that is logged now
+        self._level_until_s = float("inf")  # monotonic; then it is that of the settings again
+        self._make_logger()
         self._ledger = IssueLog()
+        self.counters = self._ledger.counters  # all that was counted so far
         self.published: dict[str, int] = {channel.name: 0 for channel in outputs_of(service)}
         self._session = session
         self._clock = clock
@@ -209,17 +211,12 @@ class Bus:
         if now - self._logged.get(code, -_LOG_EVERY_S) >= _LOG_EVERY_S:
             self._logged[code] = now
             self.log.warning(code, detail=text, count=count)
-        elif self._level.level == "debug":
+        elif self.log_level == "debug":
             self.log.debug(code, detail=text, count=count)
 
     def count(self, name: str, n: int = 1) -> None:
         """Add to a counter that health shows."""
         self._ledger.count(name, n)
-
-    @property
-    def counters(self) -> Counter[str]:
-        """All that was counted so far."""
-        return self._ledger.counters
 
     def issues(self) -> tuple[Issue, ...]:
         """All issues so far."""
@@ -233,24 +230,20 @@ class Bus:
         waiting |= {name: len(pending) for name, pending in self._queries.items()}
         return self._ledger.channels(waiting)
 
-    @property
-    def log_level(self) -> LogLevel:
-        """Least level that is logged now."""
-        return self._level.level
-
     def set_log_level(self, level: LogLevel, for_s: float) -> None:
         """Log at another level for so long."""
-        self._level.change(level, for_s, time.monotonic())
+        self.log_level, self._level_until_s = level, time.monotonic() + for_s
         self._make_logger()
 
     def restore_log_level(self) -> None:
         """Fall back to the level of the settings, where the time of another one is over."""
-        if self._level.fall_back(time.monotonic()):
+        if time.monotonic() >= self._level_until_s:
+            self.log_level, self._level_until_s = self.settings.log_level, float("inf")
             self._make_logger()
-            self.log.info("log_level", level=self._level.level)
+            self.log.info("log_level", level=self.log_level)
 
     def _make_logger(self) -> None:
-        self.log = make_logger(self.service, level=self._level.level, form=self.settings.log_format)
+        self.log = make_logger(self.service, level=self.log_level, form=self.settings.log_format)
 
     def subscribe(self, channel: Channel, *, of: str | None = None) -> None:
         """Queue what arrives on a channel (of one service, where it has a key for each).

@@ -7,8 +7,6 @@ from typing import Any
 
 import structlog
 
-from camber.schemas.health import LogLevel
-
 _LEVELS = {"debug": 10, "info": 20, "warning": 30, "error": 40}
 
 
@@ -26,27 +24,6 @@ class _StandardError:
             sys.stderr.flush()
         except OSError:
             return
-
-
-class TemporaryLogLevel:
-    """The level that the settings name, and another one for a while. Times are monotonic, in seconds."""
-
-    def __init__(self, level: LogLevel) -> None:
-        self.level = level
-        self._configured = level
-        self._until_s = float("inf")
-
-    def change(self, level: LogLevel, for_s: float, now_s: float) -> None:
-        """Another level, until that time is over; the last word holds."""
-        self.level = level
-        self._until_s = now_s + for_s
-
-    def fall_back(self, now_s: float) -> bool:
-        """Is the time over? Then the level is that of the settings again."""
-        if now_s < self._until_s:
-            return False
-        self.level, self._until_s = self._configured, float("inf")
-        return True
 
 
 def make_logger(service: str, *, level: str, form: str) -> Any:

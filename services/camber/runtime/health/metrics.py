@@ -13,7 +13,7 @@ import asyncio
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from http import HTTPStatus
 
 from prometheus_client import CollectorRegistry
@@ -121,10 +121,9 @@ class MetricsServer:
     """Serves `/metrics` until it is closed. Raises OSError where the port cannot be had."""
 
     def __init__(self, host: str, port: int, collector: HealthCollector) -> None:
-        registry = CollectorRegistry(auto_describe=False)
-        registry.register(collector)
-        ProcessCollector(registry=registry)
-        self._page = _page_of(registry)
+        self._registry = CollectorRegistry(auto_describe=False)
+        self._registry.register(collector)
+        ProcessCollector(registry=self._registry)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._socket = socket.create_server((host, port), family=family, backlog=_MOST_CONNECTIONS)
         self._socket.setblocking(False)
@@ -194,19 +193,11 @@ class MetricsServer:
         if path not in ("/", "/metrics"):
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"/metrics\n")
         headers = dict(line.lower().split(": ", 1) for line in lines if ": " in line)
-        body, kind = self._page(headers.get("accept", ""))
-        return _response(HTTPStatus.OK, kind, b"" if method == "HEAD" else body)
-
-
-def _page_of(registry: CollectorRegistry) -> Callable[[str], tuple[bytes, str]]:
-    def page(accept: str) -> tuple[bytes, str]:
         try:
-            encoder, kind = choose_encoder(accept)
+            encoder, kind = choose_encoder(headers.get("accept", ""))
         except (TypeError, ValueError):  # a version of OpenMetrics that is none
             encoder, kind = choose_encoder("")
-        return encoder(registry), kind
-
-    return page
+        return _response(HTTPStatus.OK, kind, b"" if method == "HEAD" else encoder(self._registry))
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> bytes:

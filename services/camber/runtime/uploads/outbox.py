@@ -1,4 +1,4 @@
-"""What a vehicle has promised to upload: on its disk from `put` until the cloud has acknowledged it.
+"""What a vehicle has promised to upload: on its disk from `put_many` until the cloud has acknowledged it.
 
 An SQLite file with a write-ahead log, `synchronous=FULL`: a transaction that has returned survives SIGKILL and power
 cuts. The outbox is the only copy of what it holds, so it is not asked to be faster than the disk; `put_many` shares one
@@ -102,12 +102,8 @@ class Outbox:
         self._dead_letter_bytes = limit_bytes // 8
         self._lock = threading.RLock()
         self._db: sqlite3.Connection | None = None
-        with suppress(OutboxError):  # a service starts with a full disk, too; `put` will say so
+        with suppress(OutboxError):  # a service starts with a full disk, too; `put_many` will say so
             self._run(lambda db: None)
-
-    def put(self, upload_id: str, channel: str, payload: bytes) -> None:
-        """`put_many` of one."""
-        self.put_many([Upload(upload_id, channel, payload)])
 
     def put_many(self, uploads: Iterable[Upload]) -> None:
         """Store all or none; when this returns they are on the disk.

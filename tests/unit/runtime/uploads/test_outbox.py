@@ -48,7 +48,7 @@ def no_file_larger_than(size_bytes):
 
 def test_uploads_wait_in_the_order_in_which_they_were_put(path):
     with opened(path) as outbox:
-        outbox.put(*upload(3))
+        outbox.put_many([upload(3)])
         outbox.put_many([upload(1), upload(2)])
         assert held(outbox) == [upload(3), upload(1), upload(2)]
         assert [p.id for p in outbox.pending(2)] == ["u3", "u1"]
@@ -66,8 +66,8 @@ def test_what_was_put_is_there_when_the_outbox_is_opened_again(path):
 
 def test_an_upload_put_twice_waits_once_and_another_one_under_its_id_is_an_error(path):
     with opened(path) as outbox:
-        outbox.put(*upload(1))
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
+        outbox.put_many([upload(1)])
         assert held(outbox) == [upload(1)]
         with pytest.raises(ValueError, match="u1"):
             outbox.put_many([upload(2), Upload("u1", "upload", b"other")])
@@ -76,10 +76,10 @@ def test_an_upload_put_twice_waits_once_and_another_one_under_its_id_is_an_error
 
 def test_numbers_are_not_used_again(path):
     with opened(path) as outbox:
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
         first = outbox.pending(1)[0].number
         outbox.acknowledge(["u1"])
-        outbox.put(*upload(2))
+        outbox.put_many([upload(2)])
         assert outbox.pending(1)[0].number > first
 
 
@@ -98,7 +98,7 @@ def test_of_the_dead_letters_the_newest_are_kept(path):
     limit_bytes = 64 * 4096  # dead letters: 32 kB
     with opened(path, limit_bytes) as outbox:
         for number in range(60):
-            outbox.put(*upload(number, 2000))
+            outbox.put_many([upload(number, 2000)])
             outbox.refused(f"u{number}", "no")
         letters = [letter for letter, _ in outbox.dead_letters()]
         assert letters == [f"u{n}" for n in range(60 - limit_bytes // 8 // 2000, 60)]
@@ -115,10 +115,10 @@ def test_a_full_outbox_says_so_names_its_file_and_keeps_what_it_has(path):
         taken = fill(outbox, range(1000))
         assert taken
         with pytest.raises(OutboxFull, match="no room"):
-            outbox.put(*upload(1001, 1000))
+            outbox.put_many([upload(1001, 1000)])
         assert held(outbox) == taken
         outbox.acknowledge([u.id for u in taken[:10]])
-        outbox.put(*upload(2000, 1000))
+        outbox.put_many([upload(2000, 1000)])
         assert held(outbox) == [*taken[10:], upload(2000, 1000)]
     assert path.stat().st_size <= limit_bytes
 
@@ -138,7 +138,7 @@ def fill(outbox: Outbox, numbers) -> list[Upload]:
 
     def put_all():
         for number in numbers:
-            outbox.put(*upload(number, 1000))
+            outbox.put_many([upload(number, 1000)])
             taken.append(upload(number, 1000))
 
     with pytest.raises(OutboxError, match=re.escape(str(outbox.path))):
@@ -154,7 +154,7 @@ def test_a_disk_that_takes_no_more_loses_nothing_and_the_outbox_goes_on_when_the
             taken = fill(outbox, range(100, 2000))
             assert taken
             assert held(outbox) == [*first, *taken]
-        outbox.put(*upload(2000))
+        outbox.put_many([upload(2000)])
         assert held(outbox) == [*first, *taken, upload(2000)]
     with opened(path) as outbox:
         assert held(outbox) == [*first, *taken, upload(2000)]
@@ -165,22 +165,22 @@ def test_an_outbox_that_cannot_be_opened_says_so_on_put_and_works_when_it_can(tm
     folder.write_text("a file where a folder should be")
     outbox = Outbox(folder / "outbox.sqlite", limit_bytes=LIMIT)
     with pytest.raises(OutboxError, match=r"outbox\.sqlite"):
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
     folder.unlink()
     with closing(outbox):
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
         assert held(outbox) == [upload(1)]
 
 
 def test_a_locked_file_is_an_error_and_no_damage(path, monkeypatch):
     monkeypatch.setattr("camber.runtime.uploads.outbox._WAIT_S", 0.01)
     with opened(path) as outbox, closing(sqlite3.connect(path, isolation_level=None)) as other:
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(OutboxError, match="locked"):
-            outbox.put(*upload(2))
+            outbox.put_many([upload(2)])
         other.execute("ROLLBACK")
-        outbox.put(*upload(2))
+        outbox.put_many([upload(2)])
         assert held(outbox) == [upload(1), upload(2)]
         assert outbox.notice is None
 
@@ -280,17 +280,17 @@ def test_a_flipped_bit_in_the_head_of_the_file_does_not_stop_the_outbox(path, pl
     path.write_bytes(data)
     with opened(path) as outbox:
         assert outbox.notice is not None or held(outbox) == put
-        outbox.put(*upload(10))
+        outbox.put_many([upload(10)])
         assert held(outbox)[-1] == upload(10)
 
 
 @pytest.mark.parametrize("table", [b"upload", b"dead_letter"])
 def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, table):
     with opened(path) as outbox:
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
     path.write_bytes(path.read_bytes().replace(table, table[:-1] + b"X"))
     with opened(path) as outbox:
-        outbox.put(*upload(2))
+        outbox.put_many([upload(2)])
         assert outbox.notice is not None
         assert upload(2) in held(outbox)
 
@@ -298,7 +298,7 @@ def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, 
 def test_a_file_that_is_no_database_is_renamed(path):
     path.write_bytes(b"not a database" * 1000)
     with opened(path) as outbox:
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
         assert held(outbox) == [upload(1)]
         assert "outbox.sqlite.corrupt" in str(outbox.notice)
 
@@ -316,7 +316,7 @@ def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
         with closing(sqlite3.connect(path, isolation_level=None)) as other:
             other.execute("PRAGMA user_version = 1")  # makes the outbox drop its cache
         for number in range(500, 900):
-            outbox.put(*upload(number))
+            outbox.put_many([upload(number)])
         assert outbox.notice is not None
         assert [u.id for u in held(outbox)][-400:] == [f"u{n}" for n in range(500, 900)]
 
@@ -324,7 +324,7 @@ def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
 def test_a_swap_cut_off_in_between_is_finished_on_the_next_start(tmp_path, path):
     fresh = tmp_path / "outbox.sqlite.fresh"
     with opened(fresh) as outbox:
-        outbox.put(*upload(1))
+        outbox.put_many([upload(1)])
     path.write_bytes(b"damaged")
     (tmp_path / "outbox.sqlite-wal").write_bytes(b"damaged log")
     with opened(path) as outbox:

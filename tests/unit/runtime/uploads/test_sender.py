@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from camber.runtime.uploads.outbox import Outbox, OutboxError
+from camber.runtime.uploads.outbox import Outbox, OutboxError, Upload
 from camber.runtime.uploads.sender import (
     ANSWER_LIMIT_S,
     LONGEST_PAUSE_S,
@@ -68,8 +68,7 @@ def wire():
 
 
 def put(outbox, *ids):
-    for upload_id in ids:
-        outbox.put(upload_id, "upload", upload_id.encode())
+    outbox.put_many([Upload(upload_id, "upload", upload_id.encode()) for upload_id in ids])
 
 
 def sending(outbox, wire, *ids, **more):
