@@ -51,7 +51,7 @@ class Pooled:
 
     @classmethod
     def of(cls, parts: list[tuple[int, int, Solutions]]) -> Pooled:
-        """From runs: seed, number of epochs, what RTKLIB said."""
+        """From runs: seed, number of epochs, the solutions of RTKLIB."""
         return cls(
             sum(epochs for _, epochs, _ in parts),
             np.concatenate([np.full(len(f.time_ns), seed, np.int64) for seed, _, f in parts]),
@@ -127,11 +127,11 @@ def canyon_statistics(
         track, rover, base = canyon_run(seed, rate_hz, duration_s, parameters, open_sky)
         true = true_ephemerides(int(track.time_ns[0]), int(track.time_ns[-1]), seed)
         with tempfile.TemporaryDirectory() as folder:
-            found = run_rtklib(
+            solutions = run_rtklib(
                 Path(folder), rover.epochs(), base.epochs(), broadcast_ephemerides(true, seed), FRAME,
                 track.time_ns, track.antenna_m, BASE_M,
             )  # fmt: skip
-        parts.append((seed, len(track.time_ns), found))
+        parts.append((seed, len(track.time_ns), solutions))
     return Pooled.of(parts)
 
 
@@ -148,11 +148,11 @@ def scenario_run(name: str, seed: int, as_shipped: bool) -> tuple[int, int, Solu
     epochs = [one.rover for one in drive.outputs if one.rover is not None]
     rover = [epoch for epoch in epochs if len(epoch.satellite)]
     with tempfile.TemporaryDirectory() as folder:
-        found = run_rtklib(
+        solutions = run_rtklib(
             Path(folder), rover, drive.base, drive.broadcast, drive.district.frame, drive.epoch_ns,
             drive.trajectory.antenna_m[drive.of_epoch], drive.base_m,
         )  # fmt: skip
-    return seed, len(drive.epoch_ns), found
+    return seed, len(drive.epoch_ns), solutions
 
 
 def main() -> None:

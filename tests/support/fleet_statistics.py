@@ -7,7 +7,7 @@ changed by 3 to 30 cm, 3 % of the drives wrong throughout and wrong episodes in 
 verdict. The survey itself is 3 cm off (correlated over 20 m), so that some of the unchanged roads are wrong by more
 than 3 cm too, and to publish these is right. True is, for each surface, the mean of road − reference along the ways.
 
-Lies are told on one unchanged street by a share of the vehicles seen there. *Theirs* is what comes to be published with
+Lies concern one unchanged street, by a share of the vehicles seen there. *Theirs* is what comes to be published with
 them and is not without, though the road is within 3 cm of the reference, or worse off than before.
 """
 
@@ -18,6 +18,7 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,11 +32,13 @@ from camber.road_map.surface_heights import SurfaceHeights
 from support.fleet_votes import DAY_NS, FleetWorld, Record, fusion_of, record_of, votes_of, world_of
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Generator = np.random.Generator
 NOBODY = np.zeros(0, np.int64)
 THRESHOLD_M, WRONG_M, LARGE_M = 0.03, 0.015, 0.06
 FLEETS = (10, 20, 50, 100, 400)
 SHARES = (0.05, 0.10, 0.20)
-Lie = Callable[["Street", Votes, NDArray[np.bool_], np.random.Generator], Votes]
+Lie = Callable[["Street", Votes, Flags, Generator], Votes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +52,7 @@ class Run:
     votes: Votes
     true_m: Floats
     """(surfaces,) in the order of the fusion's neighbourhood, as all that follows."""
-    changed: NDArray[np.bool_]
+    changed: Flags
 
     @property
     def now_ns(self) -> int:
@@ -62,7 +65,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Street:
-    """Where lies are told."""
+    """The street that lies concern."""
 
     run: Run
     surface_id: NDArray[np.int64]
@@ -134,7 +137,7 @@ def honest(run: Run, vehicles: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _ready(votes: Votes, result: NDArray[np.void], true_m: Floats) -> NDArray[np.bool_]:
+def _ready(votes: Votes, result: NDArray[np.void], true_m: Floats) -> Flags:
     """Where n votes of spread σ reach 3.3 σ / √n < change − 3 cm; σ by the median absolute deviation."""
     value_m, _, _ = vote_values(votes)
     ready = np.zeros(len(result), bool)
@@ -146,9 +149,7 @@ def _ready(votes: Votes, result: NDArray[np.void], true_m: Floats) -> NDArray[np
     return ready
 
 
-def _means(
-    run: Run, of: NDArray[np.bool_], lie_m: Floats | None = None
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _means(run: Run, of: Flags, lie_m: Floats | None = None) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """The mean of records, its standard error and how many vehicles: what a plain server would do."""
     row = run.fusion.neighbourhood.rows_of(run.record.observations["surface_id"])
     size = len(run.true_m)
@@ -183,78 +184,61 @@ def _lied(votes: Votes, lie_m: Floats | float) -> Votes:
     return votes
 
 
-def _steady(size_m: float) -> Lie:
-    def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
-        lied = votes.copy()
-        lied[theirs] = _lied(votes[theirs], size_m)
-        return lied
-
-    return lie
+def _steady(street: Street, votes: Votes, theirs: Flags, rng: Generator, *, size_m: float) -> Votes:
+    lied = votes.copy()
+    lied[theirs] = _lied(votes[theirs], size_m)
+    return lied
 
 
-def _against_the_map(size_m: float) -> Lie:
+def _against_the_map(street: Street, votes: Votes, theirs: Flags, rng: Generator, *, size_m: float) -> Votes:
     """They know the truth, and lie where the map is off already, in its direction."""
-
-    def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
-        lied = votes.copy()
-        row = street.run.fusion.neighbourhood.rows_of(votes["surface_id"][theirs])
-        lied[theirs] = _lied(votes[theirs], np.sign(street.run.true_m[row]) * size_m)
-        return lied
-
-    return lie
+    lied = votes.copy()
+    row = street.run.fusion.neighbourhood.rows_of(votes["surface_id"][theirs])
+    lied[theirs] = _lied(votes[theirs], np.sign(street.run.true_m[row]) * size_m)
+    return lied
 
 
-def _daily(size_m: float) -> Lie:
+def _daily(street: Street, votes: Votes, theirs: Flags, rng: Generator, *, size_m: float) -> Votes:
     """Every day, all day: as many sessions as there are days."""
-
-    def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
-        lied = _lied(votes[theirs], size_m)
-        _, first = np.unique(lied[["surface_id", "voter"]], return_index=True)
-        days = []
-        for day in range(21):
-            one = lied[first].copy()
-            one["session"] = street.today - 1 - day
-            days.append(one)
-        return merge_votes(votes[~theirs], *days)
-
-    return lie
+    lied = _lied(votes[theirs], size_m)
+    _, first = np.unique(lied[["surface_id", "voter"]], return_index=True)
+    days = []
+    for day in range(21):
+        one = lied[first].copy()
+        one["session"] = street.today - 1 - day
+        days.append(one)
+    return merge_votes(votes[~theirs], *days)
 
 
-def _sybils(size_m: float) -> Lie:
+def _sybils(street: Street, votes: Votes, theirs: Flags, rng: Generator, *, size_m: float) -> Votes:
     """As many new names instead, which nobody has seen elsewhere."""
-
-    def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
-        lied = _lied(votes[theirs], size_m)
-        lied["voter"] = lied["voter"] ^ 0x5A5A5A5A5A5A
-        return merge_votes(votes, lied)
-
-    return lie
+    lied = _lied(votes[theirs], size_m)
+    lied["voter"] = lied["voter"] ^ 0x5A5A5A5A5A5A
+    return merge_votes(votes, lied)
 
 
-def _lately(size_m: float, days: int) -> Lie:
+def _lately(
+    street: Street, votes: Votes, theirs: Flags, rng: Generator, *, size_m: float, days: int
+) -> Votes:
     """Each of them once, in the last few days, when the others are few too."""
-
-    def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
-        lied = _lied(votes[theirs], size_m)
-        _, first = np.unique(lied[["surface_id", "voter"]], return_index=True)
-        lied = lied[first]
-        lied["session"] = street.today - 1 - rng.integers(0, days, len(lied))
-        return merge_votes(votes[~theirs], lied)
-
-    return lie
+    lied = _lied(votes[theirs], size_m)
+    _, first = np.unique(lied[["surface_id", "voter"]], return_index=True)
+    lied = lied[first]
+    lied["session"] = street.today - 1 - rng.integers(0, days, len(lied))
+    return merge_votes(votes[~theirs], lied)
 
 
 LIES: dict[str, Lie] = {
-    "25 cm": _steady(0.25),
-    "10 cm": _steady(0.10),
-    "6 cm": _steady(0.06),
-    "4 cm": _steady(0.04),
-    "5 cm where the map is off": _against_the_map(0.05),
-    "5 cm, every day": _daily(0.05),
-    "5 cm, new names": _sybils(0.05),
-    "5 cm, in the last three days": _lately(0.05, 3),
-    "5 cm, in the last two days": _lately(0.05, 2),
-    "10 cm, in the last two days": _lately(0.10, 2),
+    "25 cm": partial(_steady, size_m=0.25),
+    "10 cm": partial(_steady, size_m=0.10),
+    "6 cm": partial(_steady, size_m=0.06),
+    "4 cm": partial(_steady, size_m=0.04),
+    "5 cm where the map is off": partial(_against_the_map, size_m=0.05),
+    "5 cm, every day": partial(_daily, size_m=0.05),
+    "5 cm, new names": partial(_sybils, size_m=0.05),
+    "5 cm, in the last three days": partial(_lately, size_m=0.05, days=3),
+    "5 cm, in the last two days": partial(_lately, size_m=0.05, days=2),
+    "10 cm, in the last two days": partial(_lately, size_m=0.10, days=2),
 }
 
 

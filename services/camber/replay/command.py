@@ -167,14 +167,11 @@ def argument_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="camber replay", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
+    add = parser.add_argument
+    add("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
     add_speed_options(parser)
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/replay"), metavar="DIR", help="folder of the run"
-    )
-    parser.add_argument("--seed", type=SEED, help="seed of the surrogates")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no headline")
+    add("--out", type=Path, default=Path("out/replay"), metavar="DIR", help="folder of the run")
+    add("--seed", type=SEED, help="seed of the surrogates")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest")
+    add("--quiet", action="store_true", help="no progress bar, no headline")
     return parser

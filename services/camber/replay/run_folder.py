@@ -12,8 +12,8 @@ Files appear whole or not at all. What cannot be read is a FormatError, one clea
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import struct
 import zipfile
 import zlib
@@ -104,10 +104,9 @@ class RunFolder:
             raise ValueError(f"drive {facts.drive}: truth is {facts.truth}, but the arrays say otherwise")
         self.path.mkdir(parents=True, exist_ok=True)
         if truth is not None:
-            temporary = self.truth_path.with_suffix(".tmp")
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, **{name: getattr(truth, name) for name in _ARRAYS})
-            os.replace(temporary, self.truth_path)
+            archive = io.BytesIO()
+            np.savez_compressed(archive, **{name: getattr(truth, name) for name in _ARRAYS})
+            write_whole(self.truth_path, archive.getvalue())
         _write_text(self.drive_path, facts.model_dump_json(indent=2) + "\n")
 
     def write_run(self, facts: RunFacts) -> None:
@@ -148,10 +147,15 @@ class RunFolder:
             raise FormatError(name, "arrays", f"a reference track: {str(error)[:120]}") from None
 
 
-def _write_text(path: Path, text: str) -> None:
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that appears whole or not at all."""
     temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text, "utf-8")
-    os.replace(temporary, path)
+    temporary.write_bytes(data)
+    temporary.replace(path)
+
+
+def _write_text(path: Path, text: str) -> None:
+    write_whole(path, text.encode("utf-8"))
 
 
 def _read_json(path: Path, cls: type[F]) -> F:

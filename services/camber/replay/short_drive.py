@@ -229,7 +229,8 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
         fixed = state != "float"
         error = fix_error[k] if fixed else float_error[k]
         if state == "wrong":
-            error = error + _offset_at(episodes, float(time_s[k]))
+            at_s = round(float(time_s[k]), 3)
+            error = error + np.array(next(e.offset_enu_m for e in episodes if e.from_s <= at_s < e.to_s))
         ee, nn, uu = (float(sigma_m**2) for sigma_m in (_FIX_SIGMA_M if fixed else _FLOAT_SIGMA_M))
         latitude, longitude, height = _moved(truth, k, error)
         solution = ReceiverSolution(
@@ -245,11 +246,6 @@ def _receiver_file(truth: TruthTable, seed: int) -> bytes:
         )
         lines.append(format_pos_line(solution))
     return b"".join(lines)
-
-
-def _offset_at(episodes: tuple[WrongEpisode, ...], time_s: float) -> Float64:
-    offset = next(e.offset_enu_m for e in episodes if e.from_s <= round(time_s, 3) < e.to_s)
-    return np.array(offset)
 
 
 def _moved(truth: TruthTable, k: int, error_enu_m: Float64) -> tuple[float, float, float]:

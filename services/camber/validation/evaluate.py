@@ -93,6 +93,3 @@ def _text(value: float | None, *, percent: bool = False) -> str:
     if value is None:
         return "not known"
     return f"{100 * value:.1f} %" if percent else str(value)
-
-
-__all__ = ["evaluate_folder", "headline", "main"]

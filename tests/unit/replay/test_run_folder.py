@@ -70,12 +70,9 @@ def test_a_damaged_drive_is_one_line_that_names_file_and_field(tmp_path: Path, t
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_drive_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"^drive\.json: file is 'No such file or directory', expected"):
         RunFolder(tmp_path).read_drive()
-
-
-def test_a_missing_truth_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"^truth\.npz: file is 'No such file"):
         RunFolder(tmp_path).read_truth()
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camber.replay.run_folder import write_whole
 from camber.tools.options.number_options import PROCESSES, SEED, number_from, whole_from
 from camber.validation.evidence.faults import run_faults
 from camber.validation.evidence.nagoya import REQUIREMENTS, run_seed
@@ -129,7 +130,9 @@ def _run(jobs: Sequence[Job], out: Path, *, workers: int, keep: bool, quiet: boo
             if error is not None:
                 failed.append(f"{job.part} {job.name} could not be run: {type(error).__name__}: {error}")
             else:
-                _write(_file(out, job), future.result())
+                path = _file(out, job)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(path, (json.dumps(future.result(), indent=1) + "\n").encode("utf-8"))
             if not quiet:
                 spent_s = time.monotonic() - began
                 progress = f"{done} of {len(due)}: {job.part} {job.name}, {spent_s:.0f} s"
@@ -155,13 +158,6 @@ def _without_user_settings() -> None:
 
 def _file(out: Path, job: Job) -> Path:
     return out / job.part / f"{job.name}.json"
-
-
-def _write(path: Path, result: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_suffix(".new")
-    fresh.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
-    fresh.replace(path)
 
 
 def _page(out: Path, lab: Path, notes: Sequence[str]) -> str:

@@ -60,21 +60,13 @@ def _write(options: argparse.Namespace) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__.split(":", 1)[1].strip())
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/lab"), help="folder of lab.json, lab.md and the charts"
-    )
-    parser.add_argument(
-        "--trials",
-        type=whole_from(1, 10**9),
-        default=TRIALS,
-        help=f"episodes of each kind in each headline scene ({TRIALS:,})",
-    )
-    parser.add_argument("--seed", type=SEED, default=1, help="of every draw (1)")
-    parser.add_argument("--processes", type=PROCESSES, default=2, help="the figures do not depend on it (2)")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_TRIALS:,} episodes: seconds, no proof")
-    parser.add_argument(
-        "--page", type=Path, metavar="LAB_JSON", help="print the page's section of a run and end"
-    )
+    add, each = parser.add_argument, f"episodes of each kind in each headline scene ({TRIALS:,})"
+    add("--out", type=Path, default=Path("out/lab"), help="folder of lab.json, lab.md and the charts")
+    add("--trials", type=whole_from(1, 10**9), default=TRIALS, help=each)
+    add("--seed", type=SEED, default=1, help="of every draw (1)")
+    add("--processes", type=PROCESSES, default=2, help="the figures do not depend on it (2)")
+    add("--quick", action="store_true", help=f"{QUICK_TRIALS:,} episodes: seconds, no proof")
+    add("--page", type=Path, metavar="LAB_JSON", help="print the page's section of a run and end")
     return parser
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from camber.formats.drive.truth_csv import WRONG_M
-from camber.schemas.base import Float64
 from camber.validation.evaluation import Evaluation
 from camber.validation.fix_statistics import EPISODE_GAP_S, RIGHT_M
 from camber.validation.judged_fixes import JudgedFix
@@ -42,7 +41,7 @@ def render(evaluation: Evaluation) -> str:
         "banners": _banners(summary),
         "tiles": _tiles(summary),
         "baselines": _baselines(summary),
-        "baselines_note": _baselines_note(summary),
+        "baselines_note": _BASELINES_NOTE.format(summary["controls"]["height_only"]["tolerance_m"]),
         "error_note": _ERROR_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford_note": _STANFORD_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford": _stanford(summary),
@@ -69,6 +68,7 @@ _STANFORD_NOTE = (
     "Error of each epoch's position and its protection level. Below the diagonal the error exceeds the level: "
     "misleading information, hazardous where the error exceeds the alert limit too."
 )
+_BASELINES_NOTE = "<i>Height only</i> uses a fixed tolerance of {:g} m and Camber's elevations."
 _DEFINITIONS = f"""<dl>
 <dt>candidate fix</dt><dd>a fix that passed the ratio test and has not been judged; <i>tentative</i> in messages</dd>
 <dt>wrong, right</dt><dd>more than {WRONG_M} m, up to {RIGHT_M} m from the truth in 3D at the antenna, after
@@ -164,11 +164,6 @@ def _bound(episodes: dict[str, Any]) -> str:
         f"rate below {_upper(episodes['bound'])} (3/n); counted with gaps of {cautious['gap_s']:g} s, "
         f"n = {cautious['n']}: below {_upper(cautious['bound'])}"
     )
-
-
-def _baselines_note(summary: dict[str, Any]) -> str:
-    tolerance_m = summary["controls"]["height_only"]["tolerance_m"]
-    return f"<i>Height only</i> uses a fixed tolerance of {tolerance_m:g} m and Camber's elevations."
 
 
 def _baselines(summary: dict[str, Any]) -> str:
@@ -314,7 +309,7 @@ def _episodes(evaluation: Evaluation) -> str:
             f"<td>{_clock(begin_s)}</td>",
             f"<td>{end_s - begin_s:.1f} s</td>",
             f"<td>{len(at)}</td>",
-            *(f"<td>{_metres(_largest(values))}</td>" for values in size),
+            *(f"<td>{_metres(max(values.tolist(), default=None))}</td>" for values in size),
             f'<td class="left">{_verdict_counts([evaluation.rows[i] for i in at.tolist()])}</td>',
             '<td class="left bad">missed</td>' if episode.missed else '<td class="left">caught</td>',
         ]
@@ -377,10 +372,6 @@ def _metres(value: float | None) -> str:
 
 def _milliseconds(value: float | None) -> str:
     return _NOT_KNOWN if value is None else f"{value:.3g}{_NBSP}ms"
-
-
-def _largest(values: Float64) -> float | None:
-    return float(values.max()) if len(values) else None
 
 
 def _clock(time_s: float) -> str:
