@@ -1,11 +1,13 @@
-"""Whole files of observations, ephemerides and solutions."""
+"""Whole files of observations, ephemerides and solutions, and streams in pieces."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -82,6 +84,24 @@ def _decoded(decoder, path: Path) -> list:
     except FormatError as error:
         results.append(error)
     return results + decoder.finish()
+
+
+def fed_in_pieces(decoder: Any, data: bytes, cuts: Iterable[int] = ()) -> list[Any]:
+    """Return the results of a decoder, to its end, of data that arrive cut at these places."""
+    edges = [0, *sorted(cut for cut in cuts if cut < len(data)), len(data)]
+    return [r for a, b in pairwise(edges) for r in decoder.feed(data[a:b])] + decoder.finish()
+
+
+def comparable(results: Iterable[Any]) -> list[Any]:
+    """Return the results with errors as their texts."""
+    return [str(result) if isinstance(result, FormatError) else result for result in results]
+
+
+def nmea_sentence(content: str) -> bytes:
+    checksum = 0
+    for byte in content.encode("ascii"):
+        checksum ^= byte
+    return f"${content}*{checksum:02X}\r\n".encode("ascii")
 
 
 def read_pos(path: Path) -> list[ReceiverSolution | FormatError]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import io
-import os
 import random
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyubx2 import UBXReader
@@ -27,17 +25,12 @@ from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.schemas.gnss import ReceiverIntegrity
+from support.gnss_files import fed_in_pieces, recording
+from support.gnss_files import nmea_sentence as sentence
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
 
 START_NS = 2300 * WEEK_NS + 345_600 * SECOND_NS
 EVERY = ("ubx", "nmea", "rtcm")
-
-
-def sentence(content: str) -> bytes:
-    check = 0
-    for byte in content.encode("ascii"):
-        check ^= byte
-    return f"${content}*{check:02X}\r\n".encode("ascii")
 
 
 GBS = sentence("GNGBS,120000.00,1.6,1.4,3.2,,,,,,")
@@ -60,14 +53,15 @@ def without_sync(rng: random.Random, size: int) -> bytes:
     return bytes(byte for byte in rng.randbytes(size) if byte not in b"\xb5\xd3$")
 
 
+def some_cuts(rng: random.Random, sizes: list[int], data: bytes) -> list[int]:
+    return list(accumulate(rng.choice(sizes) for _ in range(len(data))))
+
+
 def frames_of(data: bytes, *protocols: str, cuts: random.Random | None = None) -> list[tuple[str, bytes]]:
     buffer = FrameBuffer(*(protocols or EVERY))
-    decoded, place = [], 0
-    while place < len(data):
-        size = len(data) if cuts is None else cuts.choice([1, 1, 2, 3, 7, 50, 1000])
-        decoded += buffer.feed(data[place : place + size])
-        place += size
-    decoded += buffer.finish()
+    decoded = fed_in_pieces(
+        buffer, data, [] if cuts is None else some_cuts(cuts, [1, 1, 2, 3, 7, 50, 1000], data)
+    )
     for frame in decoded:
         assert data[frame.byte_offset : frame.byte_offset + len(frame.data)] == frame.data
     return [(frame.protocol, frame.data) for frame in decoded]
@@ -141,13 +135,8 @@ def test_random_bytes_never_raise_and_chunks_do_not_matter(data, seed):
     assert frames_of(stream) == frames_of(stream, cuts=rng)
     for make in (lambda: UbxDecoder("port", START_NS), lambda: MixedDecoder("port", START_NS)):
         whole, cut = make(), make()
-        expected = whole.feed(stream) + whole.finish()
-        decoded, place = [], 0
-        while place < len(stream):
-            size = rng.choice([1, 2, 3, 100])
-            decoded += cut.feed(stream[place : place + size])
-            place += size
-        assert len(decoded + cut.finish()) == len(expected)
+        decoded = fed_in_pieces(cut, stream, some_cuts(rng, [1, 2, 3, 100], stream))
+        assert len(decoded) == len(fed_in_pieces(whole, stream))
         assert whole.bytes_skipped == cut.bytes_skipped
 
 
@@ -241,11 +230,7 @@ def test_integrity_of_ubx_and_nmea_is_one_report():
 
 
 def recordings() -> list[Path]:
-    data = os.environ.get("CAMBER_DATA")
-    folder = None if data is None else Path(data) / "receiver-logs"
-    if folder is None or not folder.is_dir():
-        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
-    return sorted(path for path in folder.iterdir() if path.suffix in (".ubx", ".log"))
+    return sorted(p for p in recording("receiver-logs").iterdir() if p.suffix in (".ubx", ".log"))
 
 
 # CFG-VALSET, which is sent to a receiver and not by it, and RTCM 1302: pyubx2 and pyrtcm cannot make sense of what is

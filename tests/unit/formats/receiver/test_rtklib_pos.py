@@ -2,12 +2,12 @@
 
 import itertools
 import math
-import os
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from camber.formats.errors import FormatError
@@ -16,7 +16,7 @@ from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, fo
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
 from camber.schemas.base import LATEST_NS
-from support.gnss_files import read_pos
+from support.gnss_files import comparable, fed_in_pieces, read_pos, recording
 
 DATUM = (
     "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)\n"
@@ -65,10 +65,6 @@ def with_value(name: str, value: str) -> str:
     fields = ROW.split()
     fields[NAMES.index(name) + 1] = value
     return DATUM + COLUMNS + " ".join(fields) + "\n"
-
-
-def comparable(results: list[ReceiverSolution | FormatError]) -> list[object]:
-    return [str(result) if isinstance(result, FormatError) else result for result in results]
 
 
 def test_recorded_row_is_decoded() -> None:
@@ -273,11 +269,8 @@ def test_written_solutions_read_back(solution: ReceiverSolution, velocity: bool)
     text = format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
     (again,) = decode(text)
     assert isinstance(again, ReceiverSolution), str(again)
-    assert (again.time_ns, again.quality, again.satellites) == (
-        solution.time_ns,
-        solution.quality,
-        solution.satellites,
-    )
+    for name in ("time_ns", "quality", "satellites"):
+        assert getattr(again, name) == getattr(solution, name)
     assert again.latitude_rad == pytest.approx(solution.latitude_rad, abs=math.radians(0.51e-9))
     assert again.longitude_rad == pytest.approx(solution.longitude_rad, abs=math.radians(0.51e-9))
     assert again.height_m == pytest.approx(solution.height_m, abs=0.51e-4)
@@ -305,27 +298,20 @@ def assert_close_covariance(
         assert a == pytest.approx(b, abs=20.0 * largest * last_digit)
 
 
+SOMEWHERE = ReceiverSolution(
+    time_ns=0, latitude_rad=0.6, longitude_rad=2.3, height_m=41.0, quality=SolutionQuality.FIX
+)
+
+
 def test_unprintable_solution_is_refused() -> None:
-    solution = ReceiverSolution(
-        time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=math.nan, quality=SolutionQuality.FIX
-    )
     with pytest.raises(ValueError, match="not finite"):
-        format_pos_line(solution)
+        format_pos_line(replace(SOMEWHERE, height_m=math.nan))
     with pytest.raises(ValueError, match="no velocity"):
-        format_pos_line(
-            ReceiverSolution(
-                time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=0.0, quality=SolutionQuality.FIX
-            ),
-            velocity=True,
-        )
+        format_pos_line(SOMEWHERE, velocity=True)
 
 
 def test_columns_are_aligned_with_their_names() -> None:
-    line = format_pos_line(
-        ReceiverSolution(
-            time_ns=0, latitude_rad=0.6, longitude_rad=2.3, height_m=41.0, quality=SolutionQuality.FIX
-        )
-    ).decode()
+    line = format_pos_line(SOMEWHERE).decode()
     header = format_pos_header().decode().splitlines()[1]
     assert len(line.rstrip("\n")) == len(header)
 
@@ -364,29 +350,16 @@ def test_truncation_gives_a_prefix_and_at_most_one_error_more(length: int) -> No
 
 
 @given(st.binary(max_size=2500), st.lists(st.integers(0, 4000), max_size=8))
+@example(b"8" * 1500, list(range(10_000)))
 def test_results_do_not_depend_on_chunks(noise: bytes, cuts: list[int]) -> None:
     data = SAMPLE + noise + b"\n" + SAMPLE
-    decoder = PosDecoder("rover.pos")
-    results: list[ReceiverSolution | FormatError] = []
-    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    for start, end in itertools.pairwise(edges):
-        results += decoder.feed(data[start:end])
-    assert comparable(results + decoder.finish()) == comparable(decode(data))
-
-
-def test_results_byte_by_byte_are_the_same() -> None:
-    decoder = PosDecoder("rover.pos")
-    data = SAMPLE + b"8" * 1500 + b"\n" + ROW.encode()
-    results = [result for i in range(len(data)) for result in decoder.feed(data[i : i + 1])]
-    assert comparable(results + decoder.finish()) == comparable(decode(data))
+    results = fed_in_pieces(PosDecoder("rover.pos"), data, cuts)
+    assert comparable(results) == comparable(decode(data))
 
 
 @pytest.fixture
 def nagoya() -> Path:
-    folder = Path(os.environ.get("CAMBER_DATA", "")) / "nagoya-2023-07-11"
-    if "CAMBER_DATA" not in os.environ or not folder.is_dir():
-        pytest.skip("the recording nagoya-2023-07-11 is not there (CAMBER_DATA)")
-    return folder
+    return recording("nagoya-2023-07-11")
 
 
 @pytest.mark.parametrize(
@@ -430,12 +403,14 @@ def test_rewritten_recording_is_the_same(nagoya: Path) -> None:
     original = [s for s in read_pos(nagoya / "rover_rtk.pos") if isinstance(s, ReceiverSolution)]
     again = decode(format_pos_header() + b"".join(format_pos_line(solution) for solution in original))
     for a, b in zip(again, original, strict=True):
-        assert isinstance(a, ReceiverSolution)
-        assert (a.time_ns, a.quality, a.satellites, a.age_s, a.ratio) == (
-            b.time_ns,
-            b.quality,
-            b.satellites,
-            b.age_s,
-            b.ratio,
-        )
-        assert (a.latitude_rad, a.longitude_rad, a.height_m) == (b.latitude_rad, b.longitude_rad, b.height_m)
+        for name in (
+            "time_ns",
+            "quality",
+            "satellites",
+            "age_s",
+            "ratio",
+            "latitude_rad",
+            "longitude_rad",
+            "height_m",
+        ):
+            assert getattr(a, name) == getattr(b, name)

@@ -1,17 +1,13 @@
 """Recorded observation files: every value compared with that of a simple reader."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from camber.formats.observations import satellite_name, signal_name
 from camber.formats.rinex.observation_reader import RinexDecoder
-from support.gnss_files import read_observations
+from support.gnss_files import read_observations, recording
 from support.simple_rinex import epochs_of
 
-DATA = os.environ.get("CAMBER_DATA")
 FILES = (
     "rooftop-2024-06-24/rover.obs",
     "rooftop-2024-06-24/base.obs",
@@ -19,12 +15,6 @@ FILES = (
     "fujisawa-2021-09-22/3034265G.21O",
 )
 ATTRIBUTES = {"C": "pseudorange_m", "L": "carrier_phase_cycles", "D": "doppler_hz", "S": "cn0_dbhz"}
-
-
-def recording(name: str) -> Path:
-    if DATA is None:
-        pytest.skip("CAMBER_DATA is not set")
-    return Path(DATA) / name
 
 
 def expected_rows(values):

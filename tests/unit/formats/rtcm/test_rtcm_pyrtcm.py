@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,9 +25,9 @@ from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, minimum_lock_s, r
 from camber.formats.rtcm.msm_signals import MSM_SIGNALS, MSM_SYSTEMS
 from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
+from support.gnss_files import recording
+from support.random_observations import LIGHT_M_S, WEEK_NS
 
-LIGHT_M_S = 299_792_458.0
-WEEK_NS = 604_800 * 1_000_000_000
 NOW_NS = 2300 * WEEK_NS + 100_000 * 1_000_000_000
 LOGS = (
     "rtcm-pygpsdata-NTRIP-1300-1302.log",
@@ -51,10 +49,7 @@ SEEDS = st.integers(0, 2**32)
 
 
 def log(name: str) -> bytes:
-    folder = os.environ.get("CAMBER_DATA")
-    if not folder:
-        pytest.skip("CAMBER_DATA is not set")
-    return (Path(folder) / "receiver-logs" / name).read_bytes()
+    return recording(f"receiver-logs/{name}").read_bytes()
 
 
 @cache
@@ -234,10 +229,8 @@ def any_msm(random: np.random.Generator, number: int) -> bytes:
         (int(k in signals), 1) for k in range(1, 33)
     ]
     pairs += [(int(cell), 1) for cell in cells]
-    for width, count in [
-        *((w, satellites.size) for w in widths_of_satellites),
-        *((w, cells.sum()) for w in widths),
-    ]:
+    counts = [*((w, satellites.size) for w in widths_of_satellites), *((w, cells.sum()) for w in widths)]
+    for width, count in counts:
         special = [0, 1 << (width - 1), (1 << width) - 1]
         for _ in range(count):
             value = random.integers(0, 1 << width) if random.random() < 0.9 else random.choice(special)

@@ -1,7 +1,7 @@
 """RTCM decoder: encoded content is decoded, and malformed input is counted and never raises."""
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from camber.formats.rtcm.writer import (
     format_reference_station,
     rtcm_frame,
 )
+from support.gnss_files import fed_in_pieces
 from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris, random_epoch
 
 SEEDS = st.integers(0, 2**32)
@@ -28,11 +29,7 @@ NOW_NS = 2300 * WEEK_NS + 100_000 * SECOND_NS
 
 def read_all(data: bytes, near_ns: int = NOW_NS, cuts=()):
     decoder = RtcmDecoder(near_ns)
-    results, begin = [], 0
-    for end in [*sorted(cuts), len(data)]:
-        results += decoder.feed(data[begin:end])
-        begin = end
-    return results + decoder.finish(), decoder
+    return fed_in_pieces(decoder, data, cuts), decoder
 
 
 def counters(decoder):
@@ -156,7 +153,7 @@ def test_results_do_not_depend_on_how_the_stream_is_chunked(seed, cuts):
     noise = [rng.bytes(int(rng.integers(0, 40))) for _ in range(60)]
     data = b"".join(part for pair in zip(encoded_stream(rng), noise, strict=False) for part in pair)
     whole, decoder = read_all(data)
-    pieces, again = read_all(data, cuts=[cut for cut in cuts if cut < len(data)])
+    pieces, again = read_all(data, cuts=cuts)
     assert described(pieces) == described(whole)
     assert counters(again) == counters(decoder)
 
@@ -272,9 +269,8 @@ def test_lock_shorter_than_the_time_since_the_last_epoch_is_a_loss():
         (3, 1.1, False),
         (10, 3.0, True),
     ):
-        columns = {f.name: getattr(base, f.name) for f in fields(base)}
-        columns |= {"time_ns": NOW_NS + k * SECOND_NS, "lock_time_s": np.full(n, lock_s)}
-        (decoded,) = decoder.feed(b"".join(format_observations(ObservationEpoch(**columns), station_id=1)))
+        epoch = replace(base, time_ns=NOW_NS + k * SECOND_NS, lock_time_s=np.full(n, lock_s))
+        (decoded,) = decoder.feed(b"".join(format_observations(epoch, station_id=1)))
         assert decoded.epoch.loss_of_lock.tolist() == [lost] * n
 
 

@@ -1,6 +1,7 @@
 """RTCM frames, the base station and ephemerides: published frames byte by byte, others decoded by pyrtcm."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,42 +203,36 @@ def test_integers_and_ephemeris_are_inverse(seed, name, week, hours):
     # Within half a week of the reference times the week is found again.
     near_ns = ephemeris.toe_ns + min(max(hours, -60), 60) * 3600 * SECOND_NS
     again = ephemeris_from_integers(name[0], integers, near_ns)
-    assert (again.toe_ns, again.toc_ns, again.satellite) == (
-        ephemeris.toe_ns,
-        ephemeris.toc_ns,
-        ephemeris.satellite,
-    )
-    assert again.health == ephemeris.health
+    for attribute in ("toe_ns", "toc_ns", "satellite", "health"):
+        assert getattr(again, attribute) == getattr(ephemeris, attribute)
     assert integers_from_ephemeris(again) == integers
 
 
-def test_accuracy_index_never_claims_better_accuracy():
-    rng = np.random.default_rng(2)
-    for name, number, cases in (
-        (
-            "G05",
-            77,
-            ((0.0, 0), (2.0, 0), (2.4, 0), (2.8, 1), (4.0, 2), (6144.0, 14), (7000.0, 15), (math.nan, 15)),
-        ),
+def at_week_2300(name: str, seed: int = 1, **changes):
+    ephemeris = random_ephemeris(
+        np.random.default_rng(seed), name, 2300 * WEEK_NS + 14 * SECOND_NS * (name[0] == "C")
+    )
+    return replace(ephemeris, **changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "cases"),
+    [
+        ("G05", 77, ((0.0, 0), (2.0, 0), (2.4, 0), (2.8, 1), (4.0, 2), (6144.0, 14), (7000.0, 15), (math.nan, 15))),
         ("C21", 490, ((2.0, 0), (-1.0, 15))),
         ("J02", 453, ((16.0, 6), (2.5, 1))),
-        (
-            "E11",
-            291,
-            ((0.0, 0), (0.49, 49), (0.5, 50), (1.0, 75), (3.12, 107), (6.0, 125), (6.1, 255), (-1.0, 255)),
-        ),
-    ):
-        for accuracy_m, index in cases:
-            ephemeris = random_ephemeris(rng, name, 2300 * WEEK_NS + 14 * SECOND_NS * (name[0] == "C"))
-            object.__setattr__(ephemeris, "accuracy_m", accuracy_m)
-            message = RTCMReader.parse(format_ephemeris(ephemeris)[0])
-            assert getattr(message, f"DF{number:03d}") == index
+        ("E11", 291, ((0.0, 0), (0.49, 49), (0.5, 50), (1.0, 75), (3.12, 107), (6.0, 125), (6.1, 255), (-1.0, 255))),
+    ],
+)  # fmt: skip
+def test_accuracy_index_never_claims_better_accuracy(name, number, cases):
+    for accuracy_m, index in cases:
+        message = RTCMReader.parse(format_ephemeris(at_week_2300(name, accuracy_m=accuracy_m))[0])
+        assert getattr(message, f"DF{number:03d}") == index
 
 
 def test_galileo_health_is_unpacked_as_in_rinex():
-    ephemeris = random_ephemeris(np.random.default_rng(1), "E05", 2300 * WEEK_NS)
     # E5b: health 2, data valid; E5a: health 1, invalid; E1-B: health 3, invalid.
-    object.__setattr__(ephemeris, "health", 0b10_0_01_1_11_1)
+    ephemeris = at_week_2300("E05", health=0b10_0_01_1_11_1)
     fnav, inav = (RTCMReader.parse(frame) for frame in format_ephemeris(ephemeris))
     assert (fnav.DF314, fnav.DF315) == (1, 1)
     assert (inav.DF316, inav.DF317, inav.DF287, inav.DF288) == (2, 0, 3, 1)
@@ -264,22 +259,14 @@ def test_galileo_health_is_unpacked_as_in_rinex():
     ],
 )
 def test_ephemeris_out_of_range_is_refused(name, changes, message):
-    ephemeris = random_ephemeris(
-        np.random.default_rng(3), name, 2300 * WEEK_NS + 14 * SECOND_NS * (name[0] == "C")
-    )
-    for attribute, value in changes.items():
-        object.__setattr__(ephemeris, attribute, value)
     with pytest.raises(ValueError, match=message):
-        format_ephemeris(ephemeris)
+        format_ephemeris(at_week_2300(name, 3, **changes))
 
 
 def test_ephemeris_messages_have_the_standard_length():
     lengths = {1019: 488, 1042: 511, 1044: 485, 1045: 496, 1046: 504}
     for name in ("G05", "C25", "J02", "E07"):
-        offset_s = 14 * SECOND_NS if name[0] == "C" else 0
-        for frame in format_ephemeris(
-            random_ephemeris(np.random.default_rng(1), name, 2300 * WEEK_NS + offset_s)
-        ):
+        for frame in format_ephemeris(at_week_2300(name)):
             number = int(RTCMReader.parse(frame).identity)
             assert len(frame) - 6 == -(-lengths.pop(number) // 8)
     assert not lengths

@@ -223,41 +223,24 @@ def test_other_navigation_messages_are_counted():
 ALPHA, BETA = (9, -3, -1, 2), (44, -2, -3, 1)
 
 
-def ionosphere_page(sv_id: int = 56) -> tuple[int, ...]:
+def ionosphere_page(name: str, sv_id: int = 56) -> bytes:
     coefficients = [value & 255 for value in (*ALPHA, *BETA)]
     bits = (0b01 << 6 | sv_id) << 64 | int.from_bytes(bytes(coefficients), "big")
     body = bits << 192 - 72
     data = [0x8B << 16, 100 << 7 | 4 << 2, *((body >> 192 - 24 * k) & 0xFFFFFF for k in range(1, 9))]
-    return tuple(add_parity(data))
+    words = tuple(add_parity(data))
+    return format_subframe(Subframe(end_ns=0, satellite=satellite_number(name), signal_id=0, words=words))
 
 
 def test_ionosphere_is_decoded_from_page_18_of_subframe_4():
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
-    frame = format_subframe(
-        Subframe(end_ns=0, satellite=satellite_number("G05"), signal_id=0, words=ionosphere_page())
-    )
     steps = (2.0**-30, 2.0**-27, 2.0**-24, 2.0**-24, 2.0**11, 2.0**14, 2.0**16, 2.0**16)
     values = [value * step for value, step in zip((*ALPHA, *BETA), steps, strict=True)]
-    assert decoder.feed(frame) == [
+    assert decoder.feed(ionosphere_page("G05")) == [
         IonosphereCoefficients(system="G", alpha=tuple(values[:4]), beta=tuple(values[4:]))
     ]
     # Of QZSS it is for Japan, of another page something else.
-    assert (
-        decoder.feed(
-            format_subframe(
-                Subframe(end_ns=0, satellite=satellite_number("J02"), signal_id=0, words=ionosphere_page())
-            )
-        )
-        == []
-    )
-    assert (
-        decoder.feed(
-            format_subframe(
-                Subframe(end_ns=0, satellite=satellite_number("G05"), signal_id=0, words=ionosphere_page(25))
-            )
-        )
-        == []
-    )
+    assert decoder.feed(ionosphere_page("J02") + ionosphere_page("G05", 25)) == []
     assert decoder.messages.bad_subframes == 0
 
 

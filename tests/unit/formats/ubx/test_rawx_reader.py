@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from camber.formats.ubx.rawx_reader import read_raw_measurements
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.signal_ids import GNSS_IDS, SIGNAL_IDS
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
+from support.gnss_files import fed_in_pieces, recording
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
 
 TIMES = st.integers(1044 * WEEK_NS, 4000 * WEEK_NS)
@@ -195,13 +194,9 @@ def test_epoch_without_measurements_is_returned():
 
 
 def test_recorded_measurements_equal_those_of_pyubx2():
-    path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / "ubx-pygpsdata-RXMRAWX.log"
-    if "CAMBER_DATA" not in os.environ or not path.is_file():
-        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
-    data = path.read_bytes()
-    decoder = UbxDecoder(path.name)
-    decoded = [decoder.feed(data[place : place + 777]) for place in range(0, len(data), 777)]
-    epochs = [result for results in decoded for result in results]
+    data = recording("receiver-logs/ubx-pygpsdata-RXMRAWX.log").read_bytes()
+    decoder = UbxDecoder("port")
+    epochs = fed_in_pieces(decoder, data, range(777, len(data), 777))
     names = {0: "G", 2: "E", 3: "C", 5: "J"}
     reported = [message for _, message in UBXReader(io.BytesIO(data))]
     assert len(epochs) == len(reported) == 14

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -22,6 +20,7 @@ from camber.formats.ubx.writer import ubx_frame
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.base import EARLIEST_NS, LATEST_NS
 from camber.schemas.gnss import ReceiverIntegrity
+from support.gnss_files import fed_in_pieces, recording
 from support.random_observations import SECOND_NS, WEEK_NS
 
 TOW_MS = 345_600_000
@@ -465,13 +464,6 @@ def test_any_content_of_any_message_never_raises(kind, payload, version):
 # ------------------------------------------------------------------------------------------------------- recordings
 
 
-def recorded_log(name: str) -> bytes:
-    path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / name
-    if "CAMBER_DATA" not in os.environ or not path.is_file():
-        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
-    return path.read_bytes()
-
-
 RECORDINGS = (
     *("ubx-pygpsdata-NAV.log", "ubx-pygpsdata-NAV-ZED-X20P.log", "ubx-pygpsdata-MIXED.log"),
     *("ubx-pygpsdata-BADCK2.log", "rtcm-pygpsdata-RTCM3.log"),
@@ -480,11 +472,9 @@ RECORDINGS = (
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_positions_equal_those_of_pyubx2(name):
-    data = recorded_log(name)
+    data = recording(f"receiver-logs/{name}").read_bytes()
     decoder = UbxDecoder(name, None)
-    results = [
-        r for k in range(0, len(data), 333) for r in decoder.feed(data[k : k + 333])
-    ] + decoder.finish()
+    results = fed_in_pieces(decoder, data, range(333, len(data), 333))
     solutions = [result for result in results if isinstance(result, ReceiverSolution)]
     reported: dict[int, dict[str, object]] = {}
     for _, message in UBXReader(io.BytesIO(data), protfilter=2, quitonerror=0):
@@ -516,14 +506,12 @@ def test_recorded_positions_equal_those_of_pyubx2(name):
         assert decoded.height_m == place.height / 1e3
         if "NAV-COV" in messages:
             cov = messages["NAV-COV"]
-            assert decoded.covariance_enu_m2 == (
-                *(cov.posCovEE, cov.posCovNE, -cov.posCovED),
-                *(cov.posCovNN, -cov.posCovND, cov.posCovDD),
-            )
-            assert decoded.velocity_covariance_enu_m2_s2 == (
-                *(cov.velCovEE, cov.velCovNE, -cov.velCovED),
-                *(cov.velCovNN, -cov.velCovND, cov.velCovDD),
-            )
+            covariances = decoded.covariance_enu_m2, decoded.velocity_covariance_enu_m2_s2
+            for what, covariance in zip(("pos", "vel"), covariances, strict=True):
+                ee, ne, ed, nn, nd, dd = (
+                    getattr(cov, f"{what}Cov{k}") for k in ("EE", "NE", "ED", "NN", "ND", "DD")
+                )
+                assert covariance == (ee, ne, -ed, nn, -nd, dd)
             # What is taken where there is no such message: hAcc is the root of the sum, vAcc that of the third.
             assert math.sqrt(cov.posCovEE + cov.posCovNN) == pytest.approx(position.hAcc / 1e3, abs=0.51e-3)
             assert math.sqrt(cov.posCovDD) == pytest.approx(position.vAcc / 1e3, abs=0.51e-3)

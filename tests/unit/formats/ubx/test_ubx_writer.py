@@ -19,33 +19,16 @@ from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc, utc_from_gps_
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
 
 # What u-blox calls the signals of RINEX, written down from the interface description, 1.5.4.
+GNSS_IDS = {"G": 0, "E": 2, "C": 3, "J": 5}
 IDS = {
-    "G": (
-        0,
-        {"1C": ("L1_C/A", 0), "2L": ("L2_CL", 3), "2S": ("L2_CM", 4), "5Q": ("L5_Q", 7), "5I": ("L5_I", 6)},
-    ),
-    "E": (
-        2,
-        {"1C": ("E1_C", 0), "1B": ("E1_B", 1), "5Q": ("E5_aQ", 4), "7I": ("E5_bI", 5), "7Q": ("E5_bQ", 6)},
-    ),
-    "C": (
-        3,
-        {
-            "2I": ("B1_ID1", 0),
-            "7I": ("B2I_D1", 2),
-            "6I": ("B3I_D1", 4),
-            "5P": ("B2_ap", 7),
-            "1P": ("B1_Cp", 5),
-        },
-    ),
-    "J": (
-        5,
-        {"1C": ("L1_C/A", 0), "2S": ("L2_CM", 4), "2L": ("L2_CL", 5), "5Q": ("L5_Q", 9), "5I": ("L5_I", 8)},
-    ),
-}
+    "G": {"1C": ("L1_C/A", 0), "2L": ("L2_CL", 3), "2S": ("L2_CM", 4), "5Q": ("L5_Q", 7), "5I": ("L5_I", 6)},
+    "E": {"1C": ("E1_C", 0), "1B": ("E1_B", 1), "5Q": ("E5_aQ", 4), "7I": ("E5_bI", 5), "7Q": ("E5_bQ", 6)},
+    "C": {"2I": ("B1_ID1", 0), "7I": ("B2I_D1", 2), "6I": ("B3I_D1", 4), "5P": ("B2_ap", 7), "1P": ("B1_Cp", 5)},
+    "J": {"1C": ("L1_C/A", 0), "2S": ("L2_CM", 4), "2L": ("L2_CL", 5), "5Q": ("L5_Q", 9), "5I": ("L5_I", 8)},
+}  # fmt: skip
 GEOSTATIONARY = {"2I": ("B1I_D2", 1), "7I": ("B2I_D2", 3), "6I": ("B3I_D2", 10)}
 # The carriers do not matter here; one that is common gives any phase.
-CARRIERS = {system: dict.fromkeys(signals, 1575.42e6) for system, (_, signals) in IDS.items()}
+CARRIERS = {system: dict.fromkeys(signals, 1575.42e6) for system, signals in IDS.items()}
 TIMES = st.one_of(
     st.integers(1500, 3900).map(lambda week: week * WEEK_NS),
     st.integers(1500, 3900).map(lambda week: week * WEEK_NS - 1),
@@ -53,8 +36,7 @@ TIMES = st.one_of(
 )
 
 
-def parsed(frame: bytes):
-    return UBXReader.parse(frame)
+parsed = UBXReader.parse
 
 
 def test_frames_equal_published_ones():
@@ -92,8 +74,7 @@ def test_pyubx2_decodes_the_measurements(seed, time_ns, missing):
     for row in range(epoch.satellite.size):
         at = f"_{row + 1:02d}"
         letter, number = chr(epoch.satellite[row] >> 8), int(epoch.satellite[row] & 255)
-        gnss, signals = IDS[letter]
-        name, signal_id = signals[signal_name(int(epoch.signal[row]))]
+        gnss, name, signal_id = GNSS_IDS[letter], *IDS[letter][signal_name(int(epoch.signal[row]))]
         geostationary = letter == "C" and (number <= 5 or number >= 59)
         if geostationary:
             name, signal_id = GEOSTATIONARY.get(signal_name(int(epoch.signal[row])), (name, signal_id))
@@ -135,6 +116,12 @@ def one_signal(**changes):
     return replace(epoch, **first)
 
 
+def doubled(epoch):
+    """Each observation twice."""
+    columns = {name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"}
+    return replace(epoch, **columns)
+
+
 def test_weaker_signal_has_greater_standard_deviations():
     reported = []
     for cn0 in (50.0, 40.0, 30.0, math.nan, 20.0):
@@ -166,8 +153,7 @@ def test_data_and_pilot_are_encoded_as_pilot_and_repeats_refused():
     epoch = one_signal(satellite=satellite_number("E07"), signal=signal_number("7X"))
     message = parsed(format_raw_measurements(epoch))
     assert (message.gnssId_01, message.svId_01, message.sigId_01) == (2, 7, 6)
-    columns = {name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"}
-    twice = replace(epoch, **columns | {"signal": np.array([signal_number("7X"), signal_number("7Q")])})
+    twice = replace(doubled(epoch), signal=np.array([signal_number("7X"), signal_number("7Q")]))
     with pytest.raises(ValueError, match="E07 7Q: observed twice in one epoch"):
         format_raw_measurements(twice)
 
@@ -175,10 +161,7 @@ def test_data_and_pilot_are_encoded_as_pilot_and_repeats_refused():
 def test_more_than_255_measurements_are_refused():
     epoch = random_epoch(np.random.default_rng(5), 2300 * WEEK_NS, carriers=CARRIERS, satellites=63)
     while epoch.satellite.size <= 255:
-        columns = {
-            name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"
-        }
-        epoch = replace(epoch, **columns)
+        epoch = doubled(epoch)
     with pytest.raises(ValueError, match="measurements in one epoch, expected at most 255"):
         format_raw_measurements(epoch)
 
