@@ -39,6 +39,7 @@ INDEX, LOCK = "issued.json", "issued.lock"
 LONGEST_NAME = 60
 """A common name has at most 64 characters (RFC 5280, ub-common-name), and `+2` may follow the name."""
 _BACKDATED = timedelta(minutes=5)  # chosen: accepted at once by machines whose clocks are minutes slow
+_Extension = tuple[x509.ExtensionType, bool]  # and whether it is critical
 _RESERVED = frozenset({"ca", "fleet", "*"})
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 _LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
@@ -74,11 +75,8 @@ class Authority:
             raise CertsError(f"{name!r}: expected a name of 1 to {LONGEST_NAME} characters")
         folder.mkdir(parents=True, exist_ok=True)
         key = ec.generate_private_key(ec.SECP256R1())
-        builder = (
-            _builder(name, issuer=_distinguished(name), key=key, now=now, days=days)
-            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(_key_usage(signs=True), critical=True)
-        )
+        extensions = [(x509.BasicConstraints(ca=True, path_length=0), True), (_key_usage(signs=True), True)]
+        builder = _builder(name, _distinguished(name), key, extensions, now=now, days=days)
         authority = cls(folder)
         with authority._locked():
             _must_be_free(folder / "ca")
@@ -128,15 +126,10 @@ class Authority:
                 _must_be_free(self.folder / name)
             key = ec.generate_private_key(ec.SECP256R1())
             days = min(days, (until - now) / timedelta(days=1))
-            builder = _builder(common_name, issuer=authority.subject, key=key, now=now, days=days)
-            certificate = (
-                _with_extensions(builder, name, kind, hosts)
-                .add_extension(
-                    x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()),
-                    critical=False,
-                )
-                .sign(signing_key, hashes.SHA256())
-            )
+            by = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
+            extensions = [*_extensions(name, kind, hosts), (by, False)]
+            builder = _builder(common_name, authority.subject, key, extensions, now=now, days=days)
+            certificate = builder.sign(signing_key, hashes.SHA256())
             serial, end = f"{certificate.serial_number:x}", _iso(certificate.not_valid_after_utc)
             row = IssuedCertificate(name=name, kind=kind, common_name=common_name, serial=serial, until=end)
             self._save([*known, row])
@@ -259,35 +252,32 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def _builder(
-    name: str, *, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: float
+    name: str,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    extensions: Sequence[_Extension],
+    *,
+    now: datetime,
+    days: float,
 ) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .subject_name(_distinguished(name))
-        .issuer_name(issuer)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _BACKDATED)
-        .not_valid_after(now + timedelta(days=days))
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    )
+    public, serial = key.public_key(), x509.random_serial_number()
+    builder = x509.CertificateBuilder(issuer, _distinguished(name), public, serial)
+    builder = builder.not_valid_before(now - _BACKDATED).not_valid_after(now + timedelta(days=days))
+    for extension, critical in ((x509.SubjectKeyIdentifier.from_public_key(public), False), *extensions):
+        builder = builder.add_extension(extension, critical)
+    return builder
 
 
-def _with_extensions(
-    builder: x509.CertificateBuilder, name: str, kind: Kind, hosts: Sequence[str]
-) -> x509.CertificateBuilder:
-    usages = [
-        ExtendedKeyUsageOID.CLIENT_AUTH,
-        *([ExtendedKeyUsageOID.SERVER_AUTH] if kind == "router" else []),
-    ]
+def _extensions(name: str, kind: Kind, hosts: Sequence[str]) -> list[_Extension]:
+    server = [ExtendedKeyUsageOID.SERVER_AUTH] if kind == "router" else []
     # Strict verifiers require a subject alternative name in every certificate, also in a client's.
     names = [_general_name(host) for host in hosts] or [x509.UniformResourceIdentifier(f"urn:camber:{name}")]
-    return (
-        builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(signs=False), critical=True)
-        .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-    )
+    return [
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (_key_usage(signs=False), True),
+        (x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, *server]), False),
+        (x509.SubjectAlternativeName(names), False),
+    ]
 
 
 def _distinguished(name: str) -> x509.Name:
@@ -319,11 +309,10 @@ def _write_pair(stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.C
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     public = certificate.public_bytes(serialization.Encoding.PEM)
-    pairs = [(stem.with_name(stem.name + end), data, mode) for end, data, mode in
-             ((".key", secret, 0o600), (".pem", public, 0o644))]  # fmt: skip
-    fresh = [_write_temporary(*pair) for pair in pairs]
-    for new, (path, _, _) in zip(fresh, pairs, strict=True):
-        new.replace(path)
+    files = ((".key", secret, 0o600), (".pem", public, 0o644))
+    fresh = [_write_temporary(stem.with_name(stem.name + end), data, mode) for end, data, mode in files]
+    for new in fresh:
+        new.replace(new.with_suffix(""))
 
 
 def _write_temporary(path: Path, data: bytes, mode: int) -> Path:
