@@ -54,10 +54,14 @@ def kernel(x, scale=1.0):
 """
 
 
-def digest(source: str) -> bytes:
+def module_of(source: str) -> dict[str, Any]:
     module: dict[str, Any] = {"__name__": "kernels"}
     exec(compile(source, "kernels.py", "exec"), module)
-    return inputs_digest(module["kernel"])
+    return module
+
+
+def digest(source: str) -> bytes:
+    return inputs_digest(module_of(source)["kernel"])
 
 
 @pytest.mark.parametrize(
@@ -106,18 +110,11 @@ def test_it_does_not_change_with_comments_lines_and_what_is_not_reached(before: 
 
 
 def test_it_changes_with_types_and_with_the_names_of_their_fields() -> None:
-    module: dict[str, Any] = {"__name__": "kernels"}
-    exec(KERNEL, module)
+    module = module_of(KERNEL)
     kernel, pose = module["kernel"], module["Pose"]
     turned = type("Pose", (pose,), {"_fields": ("y", "x"), "__module__": pose.__module__})
-    arguments = [
-        1.0,
-        (1.0, 2.0),
-        pose(1.0, 2.0),
-        turned(1.0, 2.0),
-        (3, pose(1.0, 2.0)),
-        (3, turned(1.0, 2.0)),
-    ]
+    poses = [pose(1.0, 2.0), turned(1.0, 2.0)]
+    arguments = [1.0, (1.0, 2.0), *poses, *((3, each) for each in poses)]
     digests = [inputs_digest(kernel, [numba.typeof(argument)]) for argument in arguments]
     assert len(set(digests)) == len(arguments)
 
@@ -138,8 +135,7 @@ def test_what_it_cannot_judge_is_named(reached: str) -> None:
 
 
 def test_a_profiler_that_listens_to_the_calls_changes_nothing() -> None:
-    module: dict[str, Any] = {"__name__": "kernels"}
-    exec(compile(KERNEL, "kernels.py", "exec"), module)
+    module = module_of(KERNEL)
     before = inputs_digest(module["kernel"])
     inner = module["inner"]
     cProfile.Profile().runcall(lambda: (inner(1.0), inner(1.0)))
@@ -147,8 +143,7 @@ def test_a_profiler_that_listens_to_the_calls_changes_nothing() -> None:
 
 
 def test_functions_as_arguments_are_not_known() -> None:
-    module: dict[str, Any] = {"__name__": "kernels"}
-    exec(KERNEL, module)
+    module = module_of(KERNEL)
     with pytest.raises(NotKnown, match="inner"):
         inputs_digest(module["kernel"], [numba.typeof(module["inner"])])
 

@@ -385,22 +385,17 @@ def test_the_largest_part_that_is_sure_enough_is_fixed() -> None:
     covariance = weak_and_strong(random)
     errors = drawn(random, covariance, 200)
     fixed = []
+    sure = {"least_ratio": 1.5, "least_success_rate": 0.999, "least_fixed": 4}
     for row in errors:
-        resolution = resolved(
-            row, covariance, least_ratio=1.5, least_success_rate=0.999, least_fixed=4, partial=True
-        )
+        resolution = resolved(row, covariance, partial=True, **sure)
         # All at once reach no success rate worth naming.
-        assert (
-            resolved(row, covariance, least_ratio=1.5, least_success_rate=0.999, least_fixed=4).status
-            == UNLIKELY
-        )
+        assert resolved(row, covariance, **sure).status == UNLIKELY
         if resolution.status == RESOLVED:
             fixed.append(resolution.fixed)
             first = 18 - resolution.fixed
             assert resolution.success_rate >= 0.999
-            assert math.exp(
-                bootstrapped_log_success(resolution.z.variances, resolution.fixed)
-            ) == pytest.approx(resolution.success_rate)
+            log_success = bootstrapped_log_success(resolution.z.variances, resolution.fixed)
+            assert math.exp(log_success) == pytest.approx(resolution.success_rate)
             if resolution.trials == 1:
                 one_more = bootstrapped_log_success(resolution.z.variances, resolution.fixed + 1)
                 assert one_more < math.log(0.999)
@@ -418,10 +413,9 @@ def test_a_part_is_made_smaller_while_its_ratio_is_too_low_but_not_below_the_lea
     random = np.random.default_rng(SEED + 8)
     covariance = float_covariance(random, 8, 2, code_sigma_m=0.8)
     statuses = set()
+    sure = {"least_success_rate": 0.9, "partial": True}
     for row in drawn(random, covariance, 300):
-        resolution = resolved(
-            row, covariance, least_ratio=12.0, least_success_rate=0.9, least_fixed=6, partial=True
-        )
+        resolution = resolved(row, covariance, least_ratio=12.0, least_fixed=6, **sure)
         statuses.add((resolution.status, resolution.trials > 1))
         if resolution.status == RESOLVED:
             assert resolution.fixed >= 6
@@ -429,12 +423,7 @@ def test_a_part_is_made_smaller_while_its_ratio_is_too_low_but_not_below_the_lea
             assert resolution.fixed == 0
             assert resolution.trials <= 14 - 6 + 1
     assert {(RESOLVED, False), (RESOLVED, True)} <= statuses
-    assert (
-        resolved(
-            row, covariance, least_ratio=3.0, least_success_rate=0.9, least_fixed=15, partial=True
-        ).status
-        == UNLIKELY
-    )
+    assert resolved(row, covariance, least_ratio=3.0, least_fixed=15, **sure).status == UNLIKELY
 
 
 def test_the_conditional_update_is_the_textbooks() -> None:

@@ -27,7 +27,7 @@ from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Solution
 from camber.gnss.velocity.heading_filter import HeadingEstimate
 from camber.gnss.warm_up import warm_up
-from camber.schemas.gnss import EstimatesRequest
+from camber.schemas.gnss import EstimatesRequest, Fix
 
 NS = 1_000_000_000
 TIME_NS = 1_400_000_001 * NS
@@ -53,6 +53,12 @@ def solution(**changed: Any) -> Solution:
         continuous_since_ns=TIME_NS - NS,
         **changed,
     )
+
+
+def published(solved: Solution, datum: str = "WGS84", **given: Any) -> Fix:
+    fix = fix_from_solution(solved, datum, **given)
+    assert fix is not None
+    return fix
 
 
 def single_point_solution(reason: str) -> Solution:
@@ -81,15 +87,10 @@ def rotated(covariance: np.ndarray) -> np.ndarray:
 
 
 def test_every_field_of_a_fixed_epoch_is_published() -> None:
-    fix = fix_from_solution(solution(), "JGD2011", "rtcm-7")
-    assert fix is not None
+    fix = published(solution(), datum="JGD2011", base_station="rtcm-7")
     message = estimate()
-    assert (fix.time_ns, fix.fix_id, fix.origin, fix.quality) == (
-        SOLVED.time_ns,
-        SOLVED.time_ns // 1_000_000,
-        "engine",
-        "fixed",
-    )
+    assert (fix.time_ns, fix.fix_id) == (SOLVED.time_ns, SOLVED.time_ns // 1_000_000)
+    assert (fix.origin, fix.quality) == ("engine", "fixed")
     assert fix.latitude_rad == pytest.approx(LATITUDE, abs=1e-12)
     assert fix.longitude_rad == pytest.approx(LONGITUDE, abs=1e-12)
     assert fix.height_m == pytest.approx(HEIGHT_M, abs=1e-6)
@@ -103,50 +104,36 @@ def test_every_field_of_a_fixed_epoch_is_published() -> None:
 
 @pytest.mark.parametrize("agreement", ["agree", "disagree", "unknown"])
 def test_the_agreement_of_its_subsets_is_published_with_the_fix(agreement: Any) -> None:
-    fix = fix_from_solution(solution(), "WGS84", None, agreement)
-    assert fix is not None
-    assert fix.subset_agreement == agreement
+    assert published(solution(), subset_agreement=agreement).subset_agreement == agreement
 
 
 def test_an_epoch_that_is_not_fixed_has_no_fixed_ambiguities() -> None:
-    fix = fix_from_solution(solution(quality="float", estimate=estimate(status=1)), "WGS84")
-    assert fix is not None
-    assert (fix.quality, fix.ambiguities_fixed, fix.success_rate, fix.phase_residuals) == (
-        "float",
-        None,
-        None,
-        "unknown",
-    )
+    fix = published(solution(quality="float", estimate=estimate(status=1)))
+    assert (fix.quality, fix.phase_residuals) == ("float", "unknown")
+    assert (fix.ambiguities_fixed, fix.success_rate) == (None, None)
 
 
 def test_a_position_of_the_rover_alone_has_no_ratio_and_no_age() -> None:
-    fix = fix_from_solution(single_point_solution("no_base"), "WGS84")
-    assert fix is not None
+    fix = published(single_point_solution("no_base"))
     unknown = (fix.ratio, fix.age_of_corrections_s, fix.ambiguities_fixed, fix.success_rate)
     assert (fix.quality, *unknown) == ("single", None, None, None, None)
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("no_evidence", None)
 
 
 def test_residuals_are_known_only_where_there_are_more_phases_than_unknowns() -> None:
-    untested = fix_from_solution(solution(estimate=estimate(phase_freedom=0)), "WGS84")
-    assert untested is not None
+    untested = published(solution(estimate=estimate(phase_freedom=0)))
     assert untested.phase_residuals == "unknown"
-    refuted = fix_from_solution(solution(quality="float", estimate=estimate(status=CONTRADICTORY)), "WGS84")
-    assert refuted is not None
+    refuted = published(solution(quality="float", estimate=estimate(status=CONTRADICTORY)))
     assert (refuted.quality, refuted.phase_residuals) == ("float", "contradictory")
 
 
 def test_corrections_from_after_the_epoch_are_as_old_as_they_are_young() -> None:
-    fix = fix_from_solution(replace(solution(), age_s=-0.25), "WGS84")
-    assert fix is not None
-    assert fix.age_of_corrections_s == 0.25
+    assert published(replace(solution(), age_s=-0.25)).age_of_corrections_s == 0.25
 
 
 def test_an_epoch_without_a_position_is_no_fix() -> None:
-    assert (
-        fix_from_solution(Solution(time_ns=TIME_NS, quality="none", reason="too_few_satellites"), "WGS84")
-        is None
-    )
+    nowhere = Solution(time_ns=TIME_NS, quality="none", reason="too_few_satellites")
+    assert fix_from_solution(nowhere, "WGS84") is None
 
 
 def test_a_position_that_nobody_can_have_is_refused() -> None:
@@ -246,9 +233,8 @@ def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
         assert candidate.ambiguities >= EngineSettings().least_fixed
         assert candidate.ratio >= EngineSettings().least_ratio
     named = answer.candidates[0].excluded_satellites
-    (one,) = ask(
-        epochs, SOLVED.time_ns // 1_000_000, strategy="explicit", excluded_satellites=named
-    ).candidates
+    fix_id = SOLVED.time_ns // 1_000_000
+    (one,) = ask(epochs, fix_id, strategy="explicit", excluded_satellites=named).candidates
     assert one.excluded_satellites == named
 
 

@@ -36,10 +36,8 @@ def table(epoch: ObservationEpoch) -> dict[tuple[int, int], list[float]]:
     return {(satellite, signal >> 8): values for satellite, signal, *values in rows}
 
 
-def largest_difference(
-    one: list[ObservationEpoch], other: list[ObservationEpoch], *, only_parts_of_cycles: bool = False
-) -> np.ndarray:
-    """Of pseudorange, phase, Doppler, C/N0, over all rows; both must have the same ones."""
+def largest_difference(one: list[ObservationEpoch], other: list[ObservationEpoch]) -> np.ndarray:
+    """Of pseudorange, parts of cycles, Doppler, C/N0, over all rows; both must have the same ones."""
     worst = np.zeros(4)
     for left, right in zip_longest(one, other):
         assert left.time_ns == right.time_ns
@@ -47,34 +45,32 @@ def largest_difference(
         assert ours.keys() == theirs.keys()
         for key, values in ours.items():
             difference = np.subtract(values, theirs[key])
-            if only_parts_of_cycles:
-                difference[1] -= np.rint(difference[1])
+            difference[1] -= np.rint(difference[1])
             assert (np.isnan(values) == np.isnan(theirs[key])).all()
             worst = np.fmax(worst, np.abs(difference))
     return worst
 
 
-def test_ubx_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
+@pytest.mark.parametrize(
+    ("stream", "protocol", "days_off", "resolution"),
+    [
+        # RINEX has three decimals; UBX single precision of the Doppler, whole dB-Hz, and where it counts cycles from.
+        ("rover", "ubx", 0, [0.00051, 0.00051, 0.0008, 0.51]),
+        # MSM7: 2^-29 ms (0.6 mm) of pseudorange, 2^-31 ms of phase, 0.0001 m/s of range rate, 2^-4 dB-Hz.
+        # Its phase counts whole cycles from where the pseudorange was.
+        ("base", "rtcm", 3, [0.0008, 0.0015, 0.0015, 0.04]),
+    ],
+)
+def test_a_binary_stream_and_rinex_have_the_same_epochs_within_their_resolution(
+    stream: str, protocol: str, days_off: int, resolution: list[float], raw_drive: RawDrive
+) -> None:
     near_ns = raw_drive.times_ns[0]
-    ubx = epochs("rover", decoded("rover", "ubx", b"".join(raw_drive.ubx_parts), near_ns))
-    text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts)
-    rinex = epochs("rover", decoded("rover", "rinex", text, near_ns))
-    assert len(ubx) == len(raw_drive.times_ns)
-    # RINEX has three decimals; UBX single precision of the Doppler, whole dB-Hz, and where it counts cycles from.
-    difference = largest_difference(ubx, rinex, only_parts_of_cycles=True)
-    assert (difference <= [0.00051, 0.00051, 0.0008, 0.51]).all()
-
-
-def test_rtcm_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
-    near_ns = raw_drive.times_ns[0]
-    rtcm = epochs("base", decoded("base", "rtcm", b"".join(raw_drive.rtcm_parts), near_ns + 3 * 86_400 * NS))
-    text = raw_drive.base_header + b"".join(raw_drive.base_rinex_parts)
-    rinex = epochs("base", decoded("base", "rinex", text, near_ns))
-    assert len(rtcm) == len(raw_drive.times_ns)
-    # MSM7: 2^-29 ms (0.6 mm) of pseudorange, 2^-31 ms of phase, 0.0001 m/s of range rate, 2^-4 dB-Hz.
-    # Its phase counts whole cycles from where the pseudorange was.
-    difference = largest_difference(rtcm, rinex, only_parts_of_cycles=True)
-    assert (difference <= [0.0008, 0.0015, 0.0015, 0.04]).all()
+    data = b"".join(getattr(raw_drive, f"{protocol}_parts"))
+    binary = epochs(stream, decoded(stream, protocol, data, near_ns + days_off * 86_400 * NS))
+    lines = [getattr(raw_drive, f"{stream}_header"), *getattr(raw_drive, f"{stream}_rinex_parts")]
+    rinex = epochs(stream, decoded(stream, "rinex", b"".join(lines), near_ns))
+    assert len(binary) == len(raw_drive.times_ns)
+    assert (largest_difference(binary, rinex) <= resolution).all()
 
 
 def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
@@ -82,10 +78,7 @@ def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
     text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts[:10])
     for protocol, data in (
         ("ubx", b"".join(raw_drive.ubx_parts[:10])),
-        (
-            "mixed",
-            b"".join(a + b for a, b in zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False)),
-        ),
+        ("mixed", b"".join(map(b"".join, zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False)))),
         ("rtcm", b"".join(raw_drive.rtcm_parts[:10])),
         ("rinex", text),
     ):

@@ -56,6 +56,14 @@ def solved(rover: Rover) -> list[SolvedEpoch]:
     return [rover.solve(epoch) for epoch in rover.take_pending()]
 
 
+def first_of(rover: Rover, sky: Sky) -> SolvedEpoch:
+    """The first epoch with the base's."""
+    rover.receive("base", sky.base[0])
+    rover.receive("rover", sky.rover[0])
+    (first,) = solved(rover)
+    return first
+
+
 def test_an_epoch_meets_the_bases_of_its_time_though_that_came_later(sky: Sky) -> None:
     rover = ready(sky)
     rover.receive("rover", sky.rover[0])
@@ -111,20 +119,14 @@ def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
     for label, up_m in (("rtcm-1", 0.0), ("rtcm-2", 0.0), ("rtcm-1", 0.05)):
         rover = ready(sky)
         rover.receive("base", StationPosition((x, y, z + up_m), label))
-        rover.receive("base", sky.base[0])
-        rover.receive("rover", sky.rover[0])
-        names += [each.base_station for each in solved(rover)]
+        names.append(first_of(rover, sky).base_station)
     assert None not in names
     assert len(set(names)) == 3
 
 
 def test_a_base_that_was_given_is_named_so_whatever_its_stream_calls_it(sky: Sky) -> None:
     x, y, z = sky.station.position_ecef_m
-    rover = ready(sky, (x, y, z))
-    rover.receive("base", sky.base[0])
-    rover.receive("rover", sky.rover[0])
-    (first,) = solved(rover)
-    assert first.base_station == f"given@{x:.3f}:{y:.3f}:{z:.3f}"
+    assert first_of(ready(sky, (x, y, z)), sky).base_station == f"given@{x:.3f}:{y:.3f}:{z:.3f}"
 
 
 def test_the_ionosphere_of_gps_is_taken_and_beidous_is_not(sky: Sky) -> None:
@@ -203,8 +205,6 @@ def test_a_velocity_turns_the_heading_only_with_a_wheel_speed_of_its_time(
 
 def test_a_solved_epoch_can_be_asked_for_other_estimates(sky: Sky) -> None:
     rover = ready(sky)
-    rover.receive("base", sky.base[0])
-    rover.receive("rover", sky.rover[0])
-    (first,) = solved(rover)
+    first = first_of(rover, sky)
     request = EstimatesRequest(time_ns=first.epoch.time_ns, fix_id=first.epoch.time_ns // 1_000_000)
     assert rover.recent.estimates(request).status == "available"

@@ -30,25 +30,36 @@ def place_m(file: Path) -> np.ndarray:
 @functools.cache
 def files(name: str):
     """Rover, base, ephemerides, the base's place, and the three files."""
-    at = recording({"fujisawa": "fujisawa-2021-09-22", "rooftop": "rooftop-2024-06-24"}[name])
     if name == "fujisawa":
-        paths, base_m = [at / n for n in ("SEPT265G.21O", "3034265G.21O", "SEPT2650.21P")], FUJISAWA_BASE_M
+        at, names = recording("fujisawa-2021-09-22"), ("SEPT265G.21O", "3034265G.21O", "SEPT2650.21P")
+        base_m = FUJISAWA_BASE_M
     else:
-        paths, base_m = (
-            [at / n for n in ("rover.obs", "base.obs", "base.nav")],
-            place_m(at / "base_position.txt"),
-        )
+        at, names = recording("rooftop-2024-06-24"), ("rover.obs", "base.obs", "base.nav")
+        base_m = place_m(at / "base_position.txt")
+    paths = [at / name for name in names]
     rover, base = (list(read_observations(path).epochs) for path in paths[:2])
     return rover, base, read_navigation(paths[2]).ephemerides, base_m, paths
+
+
+def rooftop_m() -> np.ndarray:
+    """Where the rover's antenna of the rooftop is."""
+    return place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
+
+
+def engine_of(name: str, options: EngineSettings, up_m: float = 0.0) -> Engine:
+    """An engine with all ephemerides, and the base's position or one above it."""
+    _, _, ephemerides, base_m, _ = files(name)
+    engine = Engine(options, base_m + up_m * base_m / np.linalg.norm(base_m))
+    for e in ephemerides:
+        engine.add_ephemeris(e)
+    return engine
 
 
 @functools.cache
 def solved(name: str, options: EngineSettings) -> tuple[Solution, ...]:
     """Every epoch after the newest of the base's that is not yet to come."""
-    rover, base, ephemerides, base_m, _ = files(name)
-    engine = Engine(options, base_m)
-    for e in ephemerides:
-        engine.add_ephemeris(e)
+    rover, base, *_ = files(name)
+    engine = engine_of(name, options)
     solutions, k = [], 0
     for epoch in rover:
         while k < len(base) and base[k].time_ns <= epoch.time_ns + NS_PER_SECOND // 2:
@@ -73,6 +84,7 @@ ROOFTOP = {
     "GPS, two bands": Options(gps_bands="12", galileo_bands="", beidou_bands=""),
     "GPS, two bands, alone": Options(gps_bands="12", galileo_bands="", beidou_bands="", doppler_aided=False),
 }
+GALILEO = Options(gps_bands="", galileo_bands="157", beidou_bands="", doppler_aided=False)
 LIKE_RTKLIB = Options(
     gps_bands="12",
     galileo_bands="17",
@@ -119,7 +131,7 @@ def fixes(solutions) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("name", ROOFTOP)
 def test_on_the_rooftop_every_epoch_with_five_satellites_is_fixed_to_a_centimetre_and_a_half(name):
-    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
+    truth_m = rooftop_m()
     solutions = solved("rooftop", ROOFTOP[name])
     assert len(solutions) == 301
     for s in solutions:
@@ -135,10 +147,9 @@ def test_on_the_rooftop_all_integers_go_on():
 
 
 def test_on_the_rooftop_fixes_are_within_their_covariances():
-    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
     nees = []
     for s in solved("rooftop", DEFAULTS):
-        error = s.position_ecef_m - truth_m
+        error = s.position_ecef_m - rooftop_m()
         nees.append(error @ np.linalg.solve(s.covariance_ecef_m2, error))
     assert np.max(nees) < 16.0
 
@@ -158,16 +169,8 @@ def test_in_fujisawa_no_fix_is_off_the_consensus():
     """Of three configurations and rnx2rtkp; an epoch has a consensus where three are within 10 cm of each other."""
     parts = [
         fixes(solved("fujisawa", DEFAULTS)),
-        fixes(
-            solved(
-                "fujisawa", Options(gps_bands="12", galileo_bands="", beidou_bands="", doppler_aided=False)
-            )
-        ),
-        fixes(
-            solved(
-                "fujisawa", Options(gps_bands="", galileo_bands="157", beidou_bands="", doppler_aided=False)
-            )
-        ),
+        fixes(solved("fujisawa", ROOFTOP["GPS, two bands, alone"])),
+        fixes(solved("fujisawa", GALILEO)),
         {t: at for t, (fixed, at) in rnx2rtkp("fujisawa").items() if fixed},
     ]
     compared = 0
@@ -209,13 +212,11 @@ def test_as_many_fixes_as_rnx2rtkp_with_the_same_satellites_and_within_five_cent
 @pytest.mark.parametrize(("offset_m", "with_ionosphere"), [(37.0, True), (-37.0, True), (400.0, False)])
 def test_another_height_of_the_rooftops_base_is_detected(offset_m, with_ionosphere):
     """37 m are the geoid's height in much of Japan: a height above the sea that was taken for an ellipsoidal one."""
-    rover, base, ephemerides, base_m, paths = files("rooftop")
-    engine = Engine(EngineSettings(), base_m + offset_m * base_m / np.linalg.norm(base_m))
+    rover, base, _, _, paths = files("rooftop")
+    engine = engine_of("rooftop", EngineSettings(), offset_m)
     if with_ionosphere:
         coefficients = read_navigation(paths[2]).klobuchar["G"]
         engine.ionosphere = np.array([*coefficients.alpha, *coefficients.beta])
-    for e in ephemerides:
-        engine.add_ephemeris(e)
     for r, b in zip(rover[:10], base[:10], strict=True):
         engine.add_base(b)
         assert engine.solve(r).reason == "base_position_wrong"
@@ -223,12 +224,10 @@ def test_another_height_of_the_rooftops_base_is_detected(offset_m, with_ionosphe
 
 def test_a_few_satellites_of_the_rooftop_make_no_wrong_fix():
     """Eleven of thirty-six, others in each epoch: fixed or not, never wrong."""
-    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
-    rover, base, ephemerides, base_m, _ = files("rooftop")
+    truth_m = rooftop_m()
+    rover, base, *_ = files("rooftop")
     rng = np.random.default_rng(1)
-    engine = Engine(ALONE, base_m)
-    for e in ephemerides:
-        engine.add_ephemeris(e)
+    engine = engine_of("rooftop", ALONE)
     fixed = 0
     for r, b in zip(rover, base, strict=True):
         chosen = rng.choice(np.unique(r.satellite), 11, replace=False)
@@ -241,12 +240,10 @@ def test_a_few_satellites_of_the_rooftop_make_no_wrong_fix():
 
 
 def test_slips_and_half_cycles_put_into_the_rooftop_make_no_wrong_fix():
-    truth_m = place_m(recording("rooftop-2024-06-24") / "rover_position.txt")
-    rover, base, ephemerides, base_m, _ = files("rooftop")
+    truth_m = rooftop_m()
+    rover, base, *_ = files("rooftop")
     rng = np.random.default_rng(2)
-    engine = Engine(DEFAULTS, base_m)
-    for e in ephemerides:
-        engine.add_ephemeris(e)
+    engine = engine_of("rooftop", DEFAULTS)
     wrong = 0
     for r, b in zip(rover[:150], base[:150], strict=True):
         cycles = rng.choice([0.0, 0.5, 0.25, 1.0], r.satellite.size, p=[0.8, 0.1, 0.05, 0.05])

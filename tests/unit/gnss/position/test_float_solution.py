@@ -20,6 +20,12 @@ def position_from(rows, usable=None, prior=NO_PRIOR, limit=3.5):
     return float_position(rows, usable, prior, limit)
 
 
+def joined_with(rows, position_m, information):
+    """All codes with a prior that may share their errors."""
+    usable = np.ones(rows.group.size, np.bool_)
+    return float_with_prior(rows, usable, PositionPrior(position_m, information), 3.5)
+
+
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("last", [False, True])
 def test_it_is_that_of_double_differences_whatever_their_reference(seed, last):
@@ -89,18 +95,16 @@ def test_too_few_satellites_make_no_position(satellites, systems):
 
 def test_satellites_in_one_direction_make_no_position():
     rows = made_up_rows(np.random.default_rng(6), systems="G").rows
-    assert (
-        position_from(rows._replace(direction=np.tile(rows.direction[0], (rows.group.size, 1)))).freedom < 0
-    )
+    one_direction = np.tile(rows.direction[0], (rows.group.size, 1))
+    assert position_from(rows._replace(direction=one_direction)).freedom < 0
 
 
 def test_a_sharp_prior_is_the_position_and_a_vague_one_is_nothing():
     rows = made_up_rows(np.random.default_rng(7)).rows
     prior_m = np.array([1.0, -1.0, 2.0])
-    usable = np.ones(rows.group.size, np.bool_)
-    sharp = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 0.001**2), 3.5)
+    sharp = joined_with(rows, prior_m, np.eye(3) / 0.001**2)
     np.testing.assert_allclose(sharp.dx_m, prior_m, atol=0.01)
-    vague = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 1000.0**2), 3.5)
+    vague = joined_with(rows, prior_m, np.eye(3) / 1000.0**2)
     alone = position_from(rows)
     np.testing.assert_allclose(vague.dx_m, alone.dx_m, atol=1e-3)
     np.testing.assert_allclose(vague.covariance_m2, alone.covariance_m2, rtol=1e-3)
@@ -114,14 +118,13 @@ def test_with_a_prior_no_more_is_claimed_than_the_better_of_both_has(seed):
     alone = position_from(rows)
     root = rng.normal(size=(3, 3)) * rng.uniform(0.1, 2.0)
     covariance = root @ root.T + 0.01 * np.eye(3)
-    usable = np.ones(rows.group.size, np.bool_)
-    joined = float_with_prior(rows, usable, PositionPrior(alone.dx_m, np.linalg.inv(covariance)), 3.5)
+    joined = joined_with(rows, alone.dx_m, np.linalg.inv(covariance))
     least = min(np.trace(covariance), np.trace(alone.covariance_m2))
     assert np.trace(joined.covariance_m2) <= least * (1.0 + 1e-9)
     # Its information is a weighted mean of both, and so never exceeds their sum.
     both = np.linalg.inv(covariance) + np.linalg.inv(alone.covariance_m2)
     assert np.linalg.eigvalsh(both - np.linalg.inv(joined.covariance_m2)).min() > -1e-6 * np.abs(both).max()
-    again = float_with_prior(rows, usable, PositionPrior(alone.dx_m, np.linalg.inv(alone.covariance_m2)), 3.5)
+    again = joined_with(rows, alone.dx_m, np.linalg.inv(alone.covariance_m2))
     np.testing.assert_allclose(again.covariance_m2, alone.covariance_m2, rtol=1e-6)
 
 
@@ -130,9 +133,7 @@ def test_a_prior_identifies_wrong_codes_that_they_alone_cannot():
     code = made.rows.code_m.copy()
     code[0] += 30.0
     rows = made.rows._replace(code_m=code)
-    usable = np.ones(5, np.bool_)
-    alone = position_from(rows)
-    helped = float_with_prior(rows, usable, PositionPrior(made.dx_m + 0.2, np.eye(3)), 3.5)
+    alone, helped = position_from(rows), joined_with(rows, made.dx_m + 0.2, np.eye(3))
     assert np.linalg.norm(alone.dx_m - made.dx_m) > 5.0
     assert np.linalg.norm(helped.dx_m - made.dx_m) < 1.5
 
@@ -140,7 +141,7 @@ def test_a_prior_identifies_wrong_codes_that_they_alone_cannot():
 def test_a_prior_alone_is_the_position_where_codes_make_none():
     rows = made_up_rows(np.random.default_rng(9), satellites=3, systems="G", bands=1).rows
     prior_m = np.array([1.0, 2.0, 3.0])
-    result = float_with_prior(rows, np.ones(3, np.bool_), PositionPrior(prior_m, np.eye(3)), 3.5)
+    result = joined_with(rows, prior_m, np.eye(3))
     np.testing.assert_array_equal(result.dx_m, prior_m)
     np.testing.assert_allclose(result.covariance_m2, np.eye(3))
 

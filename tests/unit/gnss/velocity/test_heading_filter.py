@@ -41,6 +41,13 @@ def velocity(
     )
 
 
+def started(options: HeadingOptions | None = None) -> HeadingFilter:
+    """After one velocity of 10 m/s with a heading of 1 rad."""
+    filter_ = HeadingFilter(options)
+    velocity(filter_, 0.0, 1.0, 10.0)
+    return filter_
+
+
 def at(filter_: HeadingFilter, at_s: float) -> HeadingEstimate | None:
     return filter_.at(BEGIN_NS + round(at_s * 1e9))
 
@@ -122,8 +129,7 @@ def test_velocities_alone_determine_the_rate():
 
 def test_by_yaw_rates_a_heading_is_kept_as_well_as_they_drift():
     options = HeadingOptions(drift_rad_per_root_s=0.005, yaw_rate_sigma_rad_s=0.001)
-    filter_ = HeadingFilter(options)
-    velocity(filter_, 0.0, 1.0, 10.0)
+    filter_ = started(options)
     for k in range(1, 51):
         filter_.add_yaw_rate(BEGIN_NS + k * 20_000_000, 0.0)
     # Between two rates, 20 ms apart, the yaw acceleration turns the car by what neither shows: q Δt³ / 12.
@@ -145,9 +151,8 @@ def test_backwards_the_vehicle_points_against_its_velocity():
 def test_headings_cross_north_over_the_smaller_angle(north_deg):
     filter_ = HeadingFilter()
     for k in range(40):
-        assert (
-            velocity(filter_, 0.1 * k, math.radians(north_deg + (1.0 if k % 2 else -1.0)), 10.0) == "accepted"
-        )
+        heading_rad = math.radians(north_deg + (1.0 if k % 2 else -1.0))
+        assert velocity(filter_, 0.1 * k, heading_rad, 10.0) == "accepted"
     estimate = known(filter_, 3.9)
     assert 0.0 <= estimate.heading_rad < 2.0 * math.pi
     assert abs(angle_difference(estimate.heading_rad, math.radians(north_deg))) < math.radians(1.0)
@@ -177,8 +182,7 @@ def test_the_gates_hold_a_velocity_back(speed, changed, gate):
 
 
 def test_without_velocities_the_heading_is_unknown_after_a_while_however_well_the_yaw_rate_is_known():
-    filter_ = HeadingFilter(HeadingOptions(longest_without_velocity_s=10.0))
-    velocity(filter_, 0.0, 1.0, 10.0)
+    filter_ = started(HeadingOptions(longest_without_velocity_s=10.0))
     for k in range(1, 1200):
         filter_.add_yaw_rate(BEGIN_NS + k * 10_000_000, 0.0)
         assert (at(filter_, k / 100) is not None) == (k <= 1000)
@@ -187,8 +191,7 @@ def test_without_velocities_the_heading_is_unknown_after_a_while_however_well_th
 
 
 def test_after_a_gap_of_everything_the_heading_is_unknown():
-    filter_ = HeadingFilter(HeadingOptions(longest_step_s=1.0))
-    velocity(filter_, 0.0, 1.0, 10.0)
+    filter_ = started(HeadingOptions(longest_step_s=1.0))
     assert at(filter_, 1.0) is not None
     assert at(filter_, 1.001) is None
     filter_.add_yaw_rate(BEGIN_NS + 1_001_000_000, 0.0)
@@ -196,8 +199,7 @@ def test_after_a_gap_of_everything_the_heading_is_unknown():
 
 
 def test_uncertainty_grows_until_the_next_velocity():
-    filter_ = HeadingFilter()
-    velocity(filter_, 0.0, 1.0, 10.0)
+    filter_ = started()
     sigmas = []
     for k in range(1, 300):
         filter_.add_yaw_rate(BEGIN_NS + k * 20_000_000, 0.0)
