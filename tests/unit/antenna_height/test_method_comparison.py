@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -55,33 +57,37 @@ STROKE, NEAR, OFF, FAR = (
 )
 
 
-def test_heights_that_agree_and_a_moment_of_noise_are_no_disagreement() -> None:
+ONE_SECOND = r"stroke 1\.580 m, ranging 1\.660 m for 1 s$"
+
+
+@pytest.mark.parametrize(
+    "periods",
+    [
+        ((5.0, NEAR, "$"), (0.5, OFF, "$"), (1.0, NEAR, "$")),
+        (
+            (5.0, NEAR, "$"),
+            (1.2, OFF, r"stroke 1\.580 m, ranging 1\.660 m for 1 s$"),
+            (0.5, NEAR, "."),
+            (1.5, NEAR, "$"),
+        ),
+        ((5.0, NEAR, "$"), (0.1, FAR, r".*ranging 1\.800 m")),
+        ((0.1, OFF, r".*ranging 1\.660 m"),),
+        ((5.0, FAR, "."), (50.0, None, "."), (20.0, None, "$")),
+    ],
+    ids=[
+        "a moment of noise",
+        "more than a second until they agree again",
+        "far apart",
+        "never agreed",
+        "one stops",
+    ],
+)
+def test_a_disagreement_is_reported_with_both_heights_for_as_long_as_it_lasts(
+    periods: tuple[tuple[float, HeightByMethod | None, str], ...],
+) -> None:
     compared = Compared()
-    assert compared.text(5.0, STROKE, NEAR) == ""
-    assert compared.text(0.5, STROKE, OFF) == ""
-    assert compared.text(1.0, STROKE, NEAR) == ""
-
-
-def test_a_disagreement_of_a_second_is_reported_with_both_heights_until_they_agree_again() -> None:
-    compared = Compared()
-    compared.text(5.0, STROKE, NEAR)
-    assert compared.text(1.2, STROKE, OFF) == "stroke 1.580 m, ranging 1.660 m for 1 s"
-    assert compared.text(0.5, STROKE, NEAR) != ""
-    assert compared.text(1.5, STROKE, NEAR) == ""
-
-
-def test_heights_far_apart_or_that_never_agreed_are_reported_at_once() -> None:
-    compared = Compared()
-    compared.text(5.0, STROKE, NEAR)
-    assert "ranging 1.800 m" in compared.text(0.1, STROKE, FAR)
-    assert "ranging 1.660 m" in Compared().text(0.1, STROKE, OFF)
-
-
-def test_a_disagreement_outlasts_a_method_that_stops() -> None:
-    compared = Compared()
-    compared.text(5.0, STROKE, FAR)
-    assert compared.text(50.0, STROKE) != ""
-    assert compared.text(20.0, STROKE) == ""
+    for seconds, ranging, text in periods:
+        assert re.match(text, compared.text(seconds, STROKE, *([ranging] if ranging else [])))
 
 
 def test_of_three_methods_the_one_that_deviates_is_named() -> None:

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.localizer.service import SERVICE, LocalizerService
+from camber.localizer.service import LocalizerService
 from camber.localizer.settings import LocalizerSettings
 from camber.runtime.bus import Bus, QueryFailed
 from camber.schemas.codec import encode
@@ -483,18 +483,13 @@ def test_a_certain_pose_asks_for_its_road_every_two_seconds(speed_m_s: float) ->
     assert 100 / 25 <= drive.map.count(ElevationRequest) <= 100 / 12
 
 
-def test_a_change_of_the_road_is_seen_within_two_seconds() -> None:
+def test_standing_a_change_of_the_road_is_seen_within_two_seconds_and_a_lost_map_server_at_once() -> None:
     drive = certain(0.0)
     drive.run(10)
     drive.map.road = Road(status="unknown", reason="map_stale")
     assert drive.run(21).road.reason == "map_stale"
     drive.map.road = None
-    assert drive.run(1).road.status == "known"
-
-
-def test_a_vehicle_that_stands_learns_at_once_that_the_map_server_has_gone() -> None:
-    drive = certain(0.0)
-    drive.run(10)
+    assert drive.run(10).road.status == "known"
     drive.map.failure = "absent"
     assert drive.run(1).road.reason == "map_server_absent"
 
@@ -617,5 +612,4 @@ def test_the_same_drive_gives_the_same_bytes() -> None:
 
 
 def test_inputs_are_motion_fix_verdict_and_sweep() -> None:
-    assert SERVICE is LocalizerService
     assert set(Drive().handlers) == {"motion", "fix", "verdict", "sweep"}

@@ -57,23 +57,18 @@ def drive(reckoner, seconds, speed, rate=0.0, start_s=0.0, step_s=0.2, **more):
         reckoner.feed(round((start_s + k * step_s) * 1e9), speed, rate, **more)
 
 
-def test_a_full_circle_ends_where_it_began():
-    reckoner = Reckoner()
-    drive(reckoner, 40.0, 5.0, math.tau / 40.0)
-    assert reckoner.x[:2] == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert reckoner.x[YAW] == pytest.approx(math.tau)
-
-
-def test_yaw_turns_counter_clockwise_from_east():
-    reckoner = Reckoner(yaw=math.pi / 2)
-    drive(reckoner, 10.0, 5.0)
-    assert reckoner.x[:2] == pytest.approx([0.0, 50.0], abs=1e-9)
-
-
-def test_reverse_goes_back():
-    reckoner = Reckoner()
-    drive(reckoner, 10.0, -1.0)
-    assert reckoner.x[EAST] == pytest.approx(-10.0)
+@pytest.mark.parametrize(
+    ("yaw", "seconds", "speed", "rate", "end"),
+    [
+        (0.0, 40.0, 5.0, math.tau / 40.0, [0.0, 0.0, math.tau]),  # a full circle
+        (math.pi / 2, 10.0, 5.0, 0.0, [0.0, 50.0, math.pi / 2]),  # yaw is counter-clockwise from east
+        (0.0, 10.0, -1.0, 0.0, [-10.0, 0.0, 0.0]),  # reverse
+    ],
+)
+def test_speed_and_turn_lead_where_geometry_says(yaw, seconds, speed, rate, end):
+    reckoner = Reckoner(yaw=yaw)
+    drive(reckoner, seconds, speed, rate)
+    assert reckoner.x[:3] == pytest.approx(end, abs=1e-6 if rate else 1e-9)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.08])

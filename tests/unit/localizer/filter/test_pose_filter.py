@@ -106,13 +106,6 @@ def given_pose(vehicle, **more):
 # Anchors
 
 
-def test_without_a_start_there_is_no_pose():
-    vehicle = Vehicle()
-    vehicle.drive(5.0, 5.0)
-    assert vehicle.filter.mode == "none"
-    assert vehicle.filter.estimate() is None
-
-
 def test_anchors_and_motion_determine_the_heading():
     vehicle = Vehicle(yaw=2.0)
     vehicle.drive(2.0, 0.0, anchored=True)

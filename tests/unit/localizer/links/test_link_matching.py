@@ -22,6 +22,9 @@ def a_link(link_id, nodes, *vertices, **more):
     )
 
 
+ROAD = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
+
+
 def covariance(sigma_m=1.0, yaw_deg=2.0):
     return np.diag([sigma_m**2, sigma_m**2, math.radians(yaw_deg) ** 2])
 
@@ -131,8 +134,7 @@ def test_a_fork_is_ambiguous_until_the_branches_part():
 
 
 def test_a_u_turn_changes_the_direction_of_travel():
-    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
-    matches = drive(LinkMatcher(network), [(50, -2), (200, -2), (205, 4), (50, 4)])
+    matches = drive(LinkMatcher(ROAD), [(50, -2), (200, -2), (205, 4), (50, 4)])
     assert matches[10].forward
     assert matches[-1].status == "matched"
     assert not matches[-1].forward
@@ -156,15 +158,13 @@ def test_a_car_park_has_no_link_and_the_road_is_matched_again_by_following_it():
 
 
 def test_the_pose_with_an_unknown_heading_gets_no_line():
-    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
-    match = LinkMatcher(network).step((100.0, 0.0, 1.0), np.diag([1.0, 1.0, math.pi**2]), travelled_m=0.0)
+    match = LinkMatcher(ROAD).step((100.0, 0.0, 1.0), np.diag([1.0, 1.0, math.pi**2]), travelled_m=0.0)
     assert match.link_id == "road"
     assert match.line is None
 
 
 def test_a_pose_too_uncertain_to_search_around_has_no_link():
-    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
-    assert LinkMatcher(network).step((100.0, 0.0, 0.0), covariance(60.0), travelled_m=0.0).status == "none"
+    assert LinkMatcher(ROAD).step((100.0, 0.0, 0.0), covariance(60.0), travelled_m=0.0).status == "none"
 
 
 def test_standing_still_adds_no_evidence():
@@ -228,13 +228,10 @@ def test_whatever_the_pose_the_match_is_consistent(east, north, yaw, sigma, yaw_
 
 @pytest.mark.parametrize("name", ["east_m", "north_m", "yaw_rad", "travelled_m"])
 def test_what_is_not_finite_is_refused_by_name(name):
-    arguments = {"east_m": 0.0, "north_m": 0.0, "yaw_rad": 0.0, "travelled_m": 0.0, name: math.nan}
+    values = {"east_m": 0.0, "north_m": 0.0, "yaw_rad": 0.0, "travelled_m": 0.0, name: math.nan}
+    *place, travelled_m = values.values()
     with pytest.raises(ValueError, match=f"^{name}:"):
-        LinkMatcher(LinkNetwork(CROSS)).step(
-            (arguments["east_m"], arguments["north_m"], arguments["yaw_rad"]),
-            covariance(),
-            travelled_m=arguments["travelled_m"],
-        )
+        LinkMatcher(ROAD).step(tuple(place), covariance(), travelled_m=travelled_m)
 
 
 def test_links_that_are_no_links_are_refused():

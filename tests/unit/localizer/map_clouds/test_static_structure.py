@@ -23,27 +23,21 @@ def steady(*columns_m: np.ndarray) -> list[bool]:
 
 
 @pytest.mark.parametrize(
-    ("low_m", "high_m", "is_steady"),
+    ("parts_m", "is_steady"),
     [
-        (0.0, 5.0, True),  # a wall or a post
-        (0.0, 1.6, False),  # a car
-        (0.0, 2.0, False),  # a van
-        (2.6, 6.0, False),  # a crown
-        (0.0, 2.7, True),  # a hoarding
+        ([(0.0, 5.0)], True),  # a wall or a post
+        ([(0.0, 1.6)], False),  # a car
+        ([(0.0, 2.0)], False),  # a van
+        ([(2.6, 6.0)], False),  # a crown
+        ([(0.0, 2.7)], True),  # a hoarding
+        ([(0.0, 1.5), (2.5, 6.0)], False),  # a car below a crown
+        ([(0.0, 1.15), (1.65, 5.0)], True),  # with the gap of a window or a sign
     ],
 )
-def test_a_column_is_steady_from_knee_to_overhead(low_m: float, high_m: float, is_steady: bool) -> None:
-    assert steady(column(low_m, high_m)) == [is_steady]
-
-
-def test_a_car_below_a_crown_is_no_column() -> None:
-    points_m = np.concatenate((column(0.0, 1.5), column(2.5, 6.0)))
-    assert not static_mask(points_m, points_m[:, 2]).any()
-
-
-def test_a_gap_of_a_window_or_a_sign_does_no_harm() -> None:
-    points_m = np.concatenate((column(0.0, 1.15), column(1.65, 5.0)))
-    assert static_mask(points_m, points_m[:, 2]).all()
+def test_a_column_is_steady_from_knee_to_overhead(
+    parts_m: list[tuple[float, float]], is_steady: bool
+) -> None:
+    assert steady(np.concatenate([column(*part_m) for part_m in parts_m])) == [is_steady]
 
 
 def test_a_car_next_to_a_post_is_not_made_static_by_it() -> None:

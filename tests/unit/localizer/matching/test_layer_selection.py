@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -24,21 +26,16 @@ def estimate(
     )
 
 
-def test_best_is_the_layer_of_least_mean_distance() -> None:
-    choice = select([estimate(0.0, distance_m=0.2), estimate(0.5, distance_m=0.1)], "best")
-    assert choice.offset[0] == 0.5
-    assert choice.used == (False, True)
-
-
-def test_mean_is_that_of_all_layers() -> None:
-    choice = select([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "mean")
-    assert choice.offset[0] == pytest.approx(0.3)
-    assert choice.used == (True, True)
-
-
-def test_weighted_mean_is_by_one_over_the_mean_distance() -> None:
-    choice = select([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "weighted")
-    assert choice.offset[0] == pytest.approx(0.4)
+@pytest.mark.parametrize(
+    ("rule", "east_m", "used"),
+    [("best", 0.6, (False, True)), ("mean", 0.3, (True, True)), ("weighted", 0.4, (True, True))],
+)
+def test_the_documents_rules_take_the_least_distance_the_mean_and_that_by_one_over_the_distance(
+    rule: Literal["best", "mean", "weighted"], east_m: float, used: tuple[bool, ...]
+) -> None:
+    choice = select([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], rule)
+    assert choice.offset[0] == pytest.approx(east_m)
+    assert choice.used == used
 
 
 def test_a_layer_that_two_others_contradict_is_voted_out() -> None:
