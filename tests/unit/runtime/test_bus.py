@@ -186,8 +186,7 @@ def test_at_debug_an_issue_is_logged_each_time(capsys: pytest.CaptureFixture[str
 class Subscribing:
     """A session that hands over what is declared to it."""
 
-    def __init__(self) -> None:
-        self.receive: Any = None
+    receive: Any = None
 
     def declare_subscriber(self, key: str, handler: Any) -> object:
         self.receive = handler.callback

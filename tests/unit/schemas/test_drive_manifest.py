@@ -78,18 +78,12 @@ def test_smaller_errors_are_refused_unless_they_are_allowed_and_then_shown(folde
     assert any(name in note for note in allowed.surrogate_notes())
 
 
-def test_larger_errors_are_taken(folder: Path) -> None:
-    manifest = load(folder, overrides=["surrogates.map_sigma_m=0.10", "surrogates.seed=7"])
-    assert (manifest.surrogates.map_sigma_m, manifest.surrogates.seed) == (0.10, 7)
-    assert manifest.summary()["overrides"] == ["surrogates.map_sigma_m=0.1", "surrogates.seed=7"]
-
-
-def test_overrides_may_be_given_as_values(folder: Path) -> None:
+def test_overrides_are_toml_or_text_or_values(folder: Path) -> None:
+    overrides = ["surrogates.map_sigma_m=0.10", "surrogates.seed=7", "name=another"]
+    manifest = load(folder, overrides=overrides)
+    assert (manifest.surrogates.map_sigma_m, manifest.surrogates.seed, manifest.name) == (0.10, 7, "another")
+    assert manifest.summary()["overrides"] == ["surrogates.map_sigma_m=0.1", *overrides[1:]]
     assert load(folder, overrides={"surrogates.map_sigma_m": 0.2}).surrogates.map_sigma_m == 0.2
-
-
-def test_an_override_that_is_no_toml_value_is_text(folder: Path) -> None:
-    assert load(folder, overrides=["name=another"]).name == "another"
 
 
 def test_an_override_cannot_bring_other_keys_along(folder: Path) -> None:
