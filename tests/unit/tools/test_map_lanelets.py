@@ -34,11 +34,18 @@ Floats = NDArray[np.float64]
 COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--sigma-m", "0.02")
 
 
-def build(folder: Path, lanelets: LaneletMap, *options: str) -> Release:
+ELLIPSOIDAL = ("--vertical-datum", "ellipsoidal")
+
+
+def arguments(folder: Path, lanelets: LaneletMap, *options: str) -> list[str]:
     folder.mkdir(exist_ok=True)
     (folder / "town.osm").write_bytes(lanelet2_bytes(lanelets))
-    arguments = ["map", "build", "lanelet2", str(folder / "town.osm"), *COMMON, *options]
-    assert cli.main([*arguments, "--vertical-datum", "ellipsoidal", "--out", str(folder / "map")]) == 0
+    files = (str(folder / "town.osm"), "--out", str(folder / "map"))
+    return ["map", "build", "lanelet2", *files, *COMMON, *options]
+
+
+def build(folder: Path, lanelets: LaneletMap, *options: str) -> Release:
+    assert cli.main(arguments(folder, lanelets, *(options or ELLIPSOIDAL))) == 0
     return read_release(folder / "map")
 
 
@@ -119,7 +126,9 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
     first = build(tmp_path, made)
     moved = made.latitude_rad.copy()
     moved[made.row_of[1030]] += 0.3 / 6.4e6  # the right border of one lane
-    second = build(tmp_path, replace(made, latitude_rad=moved), "--previous", str(tmp_path / "map"))
+    second = build(
+        tmp_path, replace(made, latitude_rad=moved), *ELLIPSOIDAL, "--previous", str(tmp_path / "map")
+    )
     before, after = first.road_surfaces(), second.road_surfaces()
     kept = np.isin(after.surface_id, before.surface_id)
     assert set(after.link_id[~kept].tolist()) == {STREET_WEST}
@@ -146,22 +155,15 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
 def test_heights_of_an_unknown_kind_are_refused_in_one_line(
     options: tuple[str, ...], output: str, tmp_path: Path, refused: Refused
 ) -> None:
-    path = tmp_path / "town.osm"
-    path.write_bytes(lanelet2_bytes(town()))
-    out = ("--out", tmp_path / "map")
-    line = refused(cli.main, "map", "build", "lanelet2", path, *COMMON, *options, *out)
-    assert line.startswith(f"camber map build lanelet2: {path}: ")
+    line = refused(cli.main, *arguments(tmp_path, town(), *options))
+    assert line.startswith(f"camber map build lanelet2: {tmp_path / 'town.osm'}: ")
     assert output in line
     assert not (tmp_path / "map").exists()
 
 
 def test_an_undulation_that_the_user_answers_for_stands_in_the_release(tmp_path: Path) -> None:
-    (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    files = (str(tmp_path / "town.osm"), "--out", str(tmp_path / "map"))
-    arguments = ["map", "build", "lanelet2", *files, *COMMON]
-    constant = ["--geoid-undulation-m", "45.5", "--geoid-sigma-m", "0.1", "--geoid-source", "mark 17"]
-    assert cli.main([*arguments, *constant]) == 0
-    release = read_release(tmp_path / "map")
+    constant = ("--geoid-undulation-m", "45.5", "--geoid-sigma-m", "0.1", "--geoid-source", "mark 17")
+    release = build(tmp_path, town(), *constant)
     assert "mark 17" in release.manifest.surrogate
     assert release.road_surfaces().sigma_m == pytest.approx(math.hypot(0.02, 0.1), rel=1e-3)
     result = roads_at(release, np.array([1.0]), np.array([20.0]), BRIDGE)
@@ -172,8 +174,8 @@ def test_a_recorded_circuit_is_followed_within_a_centimetre(data: Path, tmp_path
     path = data / "lanelet2" / "monza.osm"
     if not path.exists():
         pytest.skip("CAMBER_DATA does not name a folder with lanelet2")
-    arguments = ["map", "build", "lanelet2", str(path), *COMMON, "--vertical-datum", "ellipsoidal"]
-    assert cli.main([*arguments, "--out", str(tmp_path / "map")]) == 0
+    files = (str(path), "--out", str(tmp_path / "map"))
+    assert cli.main(["map", "build", "lanelet2", *files, *COMMON, *ELLIPSOIDAL]) == 0
     release, circuit = read_release(tmp_path / "map"), read_lanelet2(path)
     heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
     off = {}

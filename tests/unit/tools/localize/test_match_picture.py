@@ -24,22 +24,10 @@ START_NS = 1_300_000_000 * 1_000_000_000
 
 
 def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> LayerMatch:
-    fit = LayerFit(
-        transform=np.eye(4),
-        converged=True,
-        points=1234,
-        mean_distance_m=mean_distance_m,
-        overlap=0.81,
-    )
-    return LayerMatch(
-        bounds_m=(low_m, high_m),
-        fit=fit,
-        offset=np.zeros(3),
-        covariance=np.eye(3),
-        residual=0.97,
-        inliers=0.64,
-        outcome=outcome,
-    )  # type: ignore[arg-type]
+    distances = {"mean_distance_m": mean_distance_m, "overlap": 0.81}
+    fit = LayerFit(transform=np.eye(4), converged=True, points=1234, **distances)
+    values = {"offset": np.zeros(3), "covariance": np.eye(3), "residual": 0.97, "inliers": 0.64}
+    return LayerMatch(bounds_m=(low_m, high_m), fit=fit, outcome=outcome, **values)  # type: ignore[arg-type]
 
 
 def view(status: str = "ambiguous", reason: str = "layers_disagree") -> MatchView:
@@ -95,15 +83,8 @@ def test_points_are_images_in_the_file_so_that_it_stays_small() -> None:
 
 
 def test_a_match_without_points_has_a_picture() -> None:
-    empty = replace(
-        view(),
-        points_m=np.zeros((0, 3)),
-        heights_m=np.zeros(0),
-        layer=np.zeros(0, np.int64),
-        residual_m=np.zeros(0),
-        map_m=np.zeros((0, 3)),
-        map_heights_m=np.zeros(0),
-    )
+    names = ("points_m", "heights_m", "layer", "residual_m", "map_m", "map_heights_m")
+    empty = replace(view(), **{name: getattr(view(), name)[:0] for name in names})
     assert "a: scan match at 2.5 s" in texts(match_figure("a", empty, start_ns=START_NS))
 
 

@@ -62,16 +62,9 @@ def poses() -> TruthTable:
     )
     latitude, longitude, height = FRAME.geodetic_from_enu_array(enu)
     time_ns = START_NS + np.arange(n) * 10**8
-    return TruthTable(
-        time_ns=time_ns,
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        height_m=height,
-        roll_rad=np.zeros(n),
-        pitch_rad=pitch,
-        yaw_rad=np.zeros(n),
-        velocity_enu_m_s=np.zeros((n, 3)),
-    )
+    place = {"latitude_rad": latitude, "longitude_rad": longitude, "height_m": height}
+    turn = {"roll_rad": np.zeros(n), "pitch_rad": pitch, "yaw_rad": np.zeros(n)}
+    return TruthTable(time_ns=time_ns, **place, **turn, velocity_enu_m_s=np.zeros((n, 3)))
 
 
 def build(folder: Path, *clouds: Path, more: tuple[str, ...] = LOCAL) -> int:

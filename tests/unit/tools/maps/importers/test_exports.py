@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.cloud_tiles import cloud_tiles
 from camber.road_map.release import Release, read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.schemas.road import CloudTile
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
@@ -51,21 +53,25 @@ def road_and_bridge() -> tuple[RoadSurfaces, RoadLinks]:
     return surfaces_along(roads, ground, spacing_m=1.0, seen_ns=NOW_NS - 10**9, vehicles=4), links
 
 
+def written(folder: Path, clouds: Sequence[CloudTile] = ()) -> Path:
+    surfaces, links = road_and_bridge()
+    write_release(
+        folder, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
+        surfaces=surfaces, links=links, clouds=clouds,
+    )  # fmt: skip
+    return folder
+
+
 @pytest.fixture(scope="module")
 def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("release")
-    surfaces, links = road_and_bridge()
     rng = np.random.default_rng(5)
     plane = rng.uniform((-60.0, -30.0), (60.0, 30.0), (3000, 2))
     clouds = [
         *cloud_tiles(np.column_stack((plane, hill(*plane.T))), FRAME, "road_cloud", NOW_NS),
         *cloud_tiles(np.column_stack((plane, hill(*plane.T) + 9.0)), FRAME, "environment_cloud", NOW_NS),
     ]
-    write_release(
-        folder, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
-        surfaces=surfaces, links=links, clouds=clouds,
-    )  # fmt: skip
-    return folder
+    return written(folder, clouds)
 
 
 def exported(release: Path, to: str, out: Path, *more: str) -> Path:
@@ -164,12 +170,7 @@ def test_autoware_s_cells_hold_each_point_once_where_the_projector_says(
 
 
 def test_what_cannot_be_exported_is_one_clear_line(tmp_path: Path, refused: Refused) -> None:
-    bare = tmp_path / "bare"
-    surfaces, links = road_and_bridge()
-    write_release(
-        bare, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
-        surfaces=surfaces, links=links,
-    )  # fmt: skip
+    bare = written(tmp_path / "bare")
     for folder, options in ((bare, ("--to", "pcd")), (tmp_path / "none", ("--to", "geojson"))):
         refused(main, "map", "export", folder, "--out", tmp_path / "x", *options)
 

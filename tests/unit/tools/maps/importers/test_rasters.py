@@ -16,8 +16,11 @@ from support.nearest_surface import nearest_heights
 from support.refusals import Refused
 
 rasterio = pytest.importorskip("rasterio")
+pyproj = pytest.importorskip("pyproj")
 
 ZONE = "EPSG:32653"  # UTM 53 north
+UTM = pyproj.Proj(32653)
+KNOWN = pyproj.CRS(ZONE).to_3d()  # heights above the ellipsoid
 CORNER_M = (682_000.0, 3_886_200.0)
 CELL_M = 0.5
 SIZE = 500
@@ -34,8 +37,6 @@ def cells() -> Any:
 
 
 def geotiff(path: Path, heights: Any, crs: Any, *, scale: float = 1.0) -> Path:
-    import pyproj
-
     with quiet_rasterio(), rasterio.open(
         path, "w", driver="GTiff", width=SIZE, height=SIZE, count=1, dtype=heights.dtype, nodata=-32768,
         crs=None if crs is None else pyproj.CRS(crs).to_wkt(), tiled=True, blockxsize=128, blockysize=128,
@@ -48,11 +49,8 @@ def geotiff(path: Path, heights: Any, crs: Any, *, scale: float = 1.0) -> Path:
 
 def line(path: Path, *, level: int = 0) -> Path:
     """A road 200 m to the east through the middle of the raster."""
-    import pyproj
-
-    utm = pyproj.Proj(32653)
     x = np.linspace(CORNER_M[0] + 25.0, CORNER_M[0] + 225.0, 9)
-    longitude, latitude = utm(x, np.full(9, CORNER_M[1] - 125.0), inverse=True)
+    longitude, latitude = UTM(x, np.full(9, CORNER_M[1] - 125.0), inverse=True)
     feature = {
         "type": "Feature",
         "geometry": {"type": "LineString", "coordinates": np.column_stack((longitude, latitude)).tolist()},
@@ -72,22 +70,16 @@ def build(raster: Path, roads: Path, *more: str, datum: str = "WGS84") -> int:
 
 def errors(folder: Path) -> tuple[Any, Any, Any]:
     """Height − truth and distance outside of the nearest surface along the middle of the road, every 0.1 m."""
-    import pyproj
-
-    utm = pyproj.Proj(32653)
     x = np.arange(CORNER_M[0] + 26.0, CORNER_M[0] + 224.0, 0.1)
     y = np.full(len(x), CORNER_M[1] - 125.0)
-    longitude, latitude = np.radians(utm(x, y, inverse=True))
+    longitude, latitude = np.radians(UTM(x, y, inverse=True))
     surfaces = read_release(folder).road_surfaces()
     height_m, outside_m = nearest_heights(surfaces, latitude, longitude)
     return x - CORNER_M[0], height_m - surface(x, y), outside_m
 
 
 def test_a_raster_that_says_ellipsoidal_needs_no_more(tmp_path: Path) -> None:
-    import pyproj
-
-    known = pyproj.CRS(ZONE).to_3d()
-    raster = geotiff(tmp_path / "dem.tif", cells(), known)
+    raster = geotiff(tmp_path / "dem.tif", cells(), KNOWN)
     assert build(raster, line(tmp_path / "road.geojson")) == 0
     _, off_m, outside_m = errors(tmp_path / "map")
     assert outside_m.max() < 0.01
@@ -127,11 +119,9 @@ def test_a_system_that_cannot_be_used_is_refused(
 
 
 def test_where_a_raster_has_no_data_there_is_no_surface(tmp_path: Path) -> None:
-    import pyproj
-
     heights = cells()
     heights[235:265, 240:260] = -32768  # 10 m along the road, all of its width
-    raster = geotiff(tmp_path / "dem.tif", heights, pyproj.CRS(ZONE).to_3d())
+    raster = geotiff(tmp_path / "dem.tif", heights, KNOWN)
     assert build(raster, line(tmp_path / "road.geojson")) == 0
     x, off_m, outside_m = errors(tmp_path / "map")
     hole = (x > 120.5) & (x < 129.5)
@@ -141,13 +131,9 @@ def test_where_a_raster_has_no_data_there_is_no_surface(tmp_path: Path) -> None:
 
 
 def test_a_rough_raster_gives_a_larger_sigma_and_a_scaled_one_metres(tmp_path: Path) -> None:
-    import pyproj
-
     rng = np.random.default_rng(9)
     rough = cells() + rng.normal(0.0, 0.1, (SIZE, SIZE))
-    raster = geotiff(
-        tmp_path / "dem.tif", np.round(rough * 100.0).astype(np.int32), pyproj.CRS(ZONE).to_3d(), scale=0.01
-    )
+    raster = geotiff(tmp_path / "dem.tif", np.round(rough * 100.0).astype(np.int32), KNOWN, scale=0.01)
     assert build(raster, line(tmp_path / "road.geojson"), "--spacing-m", "1.5") == 0
     surfaces = read_release(tmp_path / "map").road_surfaces()
     assert 0.05 < np.median(surfaces.sigma_m) < 0.15
@@ -155,19 +141,15 @@ def test_a_rough_raster_gives_a_larger_sigma_and_a_scaled_one_metres(tmp_path: P
 
 
 def test_roads_of_another_level_get_nothing_from_it(tmp_path: Path, refused: Refused) -> None:
-    import pyproj
-
-    raster = geotiff(tmp_path / "dem.tif", cells(), pyproj.CRS(ZONE).to_3d())
+    raster = geotiff(tmp_path / "dem.tif", cells(), KNOWN)
     roads = line(tmp_path / "road.geojson", level=1)
     assert "level 0" in refused(lambda _: build(raster, roads))
     assert build(raster, roads, "--level", "1") == 0
 
 
 def test_a_damaged_raster_is_one_clear_line(tmp_path: Path, refused: Refused) -> None:
-    import pyproj
-
     roads = line(tmp_path / "road.geojson")
-    whole = geotiff(tmp_path / "dem.tif", cells(), pyproj.CRS(ZONE).to_3d()).read_bytes()
+    whole = geotiff(tmp_path / "dem.tif", cells(), KNOWN).read_bytes()
     broken = tmp_path / "broken.tif"
     for length in (0, 3, 100, len(whole) // 3, len(whole) // 2):
         broken.write_bytes(whole[:length])
