@@ -24,16 +24,8 @@ BEGIN_NS = 2400 * WEEK_NS + 200_010 * SECOND_NS
 SECONDS = 45
 # RINEX 3.04, tables A6, A8, A12, A14: the elements in order after the clock.
 ELEMENTS = (
-    *(
-        "iode",
-        "crs_m",
-        "mean_motion_difference_rad_s",
-        "mean_anomaly_rad",
-        "cuc",
-        "eccentricity",
-        "cus",
-        "sqrt_a",
-    ),
+    *("iode", "crs_m", "mean_motion_difference_rad_s", "mean_anomaly_rad", "cuc", "eccentricity", "cus"),
+    "sqrt_a",
     *("toe", "cic", "ascending_node_rad", "cis", "inclination_rad", "crc_m", "perigee_rad"),
     *("ascending_node_rate_rad_s", "inclination_rate_rad_s"),
 )

@@ -44,6 +44,11 @@ def a_cloud(n: int = 5) -> PointCloud:
     )
 
 
+def cloud_of(points: list[list[float]], intensity: list[float], offset_ns: list[int]) -> PointCloud:
+    columns = {"intensity": np.array(intensity, np.float32), "offset_ns": np.array(offset_ns, np.int32)}
+    return PointCloud(points_m=np.array(points, np.float32), **columns)
+
+
 def same(a: PointCloud, b: PointCloud) -> bool:
     return all(
         (x is None and y is None) or (x is not None and y is not None and x.tobytes() == y.tobytes())
@@ -83,13 +88,7 @@ def test_clouds_survive_bit_by_bit(cloud: PointCloud) -> None:
 
 
 def test_the_bytes_are_those_of_the_format() -> None:
-    data = pcd_bytes(
-        PointCloud(
-            points_m=np.array([[1, 2, 3]], np.float32),
-            intensity=np.array([7], np.float32),
-            offset_ns=np.array([-9], np.int32),
-        )
-    )
+    data = pcd_bytes(cloud_of([[1, 2, 3]], [7], [-9]))
     head, tail = data[:-20].decode(), data[-20:]
     assert struct.unpack("<ffffi", tail) == (1.0, 2.0, 3.0, 7.0, -9)
     assert head.split("\n", 1)[1] == a_header("binary", WIDTH="1", POINTS="1")
@@ -198,22 +197,19 @@ def test_a_header_that_promises_too_much_costs_no_memory() -> None:
 
 
 def test_text_and_binary_hold_the_same() -> None:
-    expected = PointCloud(
-        points_m=np.array([[1, 2, 3], [4, 5, 6]], np.float32),
-        intensity=np.array([9, 8], np.float32),
-        offset_ns=np.array([-5, -4], np.int32),
-    )
-    assert same(cloud_from_pcd((a_header() + TWO_POINTS).encode(), "a.pcd"), expected)
-    crlf = (a_header() + TWO_POINTS).replace("\n", "\r\n")
-    assert same(cloud_from_pcd(crlf.encode(), "a.pcd"), expected)
-    commented = a_header().replace("COUNT", "# a comment\n\nCOUNT") + TWO_POINTS
-    assert same(cloud_from_pcd(commented.encode(), "a.pcd"), expected)
+    expected = cloud_of([[1, 2, 3], [4, 5, 6]], [9, 8], [-5, -4])
+    text = a_header() + TWO_POINTS
     rows = struct.pack("<ffffi", 1, 2, 3, 9, -5) + struct.pack("<ffffi", 4, 5, 6, 8, -4)
-    assert same(cloud_from_pcd(a_header("binary").encode() + rows, "a.pcd"), expected)
     columns = struct.pack("<8f2i", 1, 4, 2, 5, 3, 6, 9, 8, -5, -4)
     packed = compressed(columns)
-    body = struct.pack("<II", len(packed), len(columns)) + packed
-    assert same(cloud_from_pcd(a_header("binary_compressed").encode() + body, "a.pcd"), expected)
+    for data in (
+        text.encode(),
+        text.replace("\n", "\r\n").encode(),
+        text.replace("COUNT", "# a comment\n\nCOUNT").encode(),
+        a_header("binary").encode() + rows,
+        a_header("binary_compressed").encode() + struct.pack("<II", len(packed), len(columns)) + packed,
+    ):
+        assert same(cloud_from_pcd(data, "a.pcd"), expected)
 
 
 def test_other_fields_types_and_orders_are_read() -> None:

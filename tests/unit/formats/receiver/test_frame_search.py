@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -13,6 +13,7 @@ from camber.formats.receiver.frame_buffer import FrameBuffer, FrameProtocol
 from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.writer import ubx_frame
+from support.gnss_files import fed_in_pieces
 from support.plain_frames import PlainFrameBuffer
 
 PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
@@ -70,9 +71,10 @@ def stream(rng: random.Random) -> bytes:
     return b"".join(rng.choice(PARTS)(rng) for _ in range(rng.randrange(30)))
 
 
-def frames_and_counts(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> object:
-    frames = [decoded for piece in pieces for decoded in buffer.feed(piece)]
-    return frames + buffer.finish(), buffer.bytes_skipped, buffer.failed_checks
+def frames_and_counts(
+    buffer: FrameBuffer | PlainFrameBuffer, data: bytes, cuts: Sequence[int] = ()
+) -> object:
+    return fed_in_pieces(buffer, data, cuts), buffer.bytes_skipped, buffer.failed_checks
 
 
 @given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
@@ -80,11 +82,10 @@ def frames_and_counts(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes
 def test_frames_equal_those_of_a_simple_search(seed: int, protocols: tuple[FrameProtocol, ...]) -> None:
     rng = random.Random(seed)
     data = stream(rng)
-    expected = frames_and_counts(PlainFrameBuffer(*protocols), [data])
-    assert frames_and_counts(FrameBuffer(*protocols), [data]) == expected
-    cuts = sorted(rng.sample(range(len(data) + 1), min(len(data), rng.choice([1, 5, 100]))))
-    pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
-    assert frames_and_counts(FrameBuffer(*protocols), pieces) == expected
+    expected = frames_and_counts(PlainFrameBuffer(*protocols), data)
+    assert frames_and_counts(FrameBuffer(*protocols), data) == expected
+    cuts = rng.sample(range(len(data) + 1), min(len(data), rng.choice([1, 5, 100])))
+    assert frames_and_counts(FrameBuffer(*protocols), data, cuts) == expected
 
 
 @given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
@@ -111,8 +112,8 @@ def test_long_chunks_equal_short_ones(size: int) -> None:
     while len(data) < size:
         data += stream(rng)
     data = data[:size]
-    expected = frames_and_counts(PlainFrameBuffer("ubx", "nmea", "rtcm"), [data])
-    assert frames_and_counts(FrameBuffer("ubx", "nmea", "rtcm"), [data]) == expected
+    expected = frames_and_counts(PlainFrameBuffer("ubx", "nmea", "rtcm"), data)
+    assert frames_and_counts(FrameBuffer("ubx", "nmea", "rtcm"), data) == expected
 
 
 @pytest.mark.parametrize("size", range(MAX_SENTENCE_BYTES - 1, MAX_SENTENCE_BYTES + 3))

@@ -16,14 +16,8 @@ def matrix(covariance: tuple[float, ...]) -> np.ndarray:
 
 
 def test_signed_roots() -> None:
-    assert covariance_from_printed((2.0, 3.0, 4.0), (1.0, -2.0, 0.5), ROUNDING_M) == (
-        4.0,
-        1.0,
-        -4.0,
-        9.0,
-        0.25,
-        16.0,
-    )
+    covariance = covariance_from_printed((2.0, 3.0, 4.0), (1.0, -2.0, 0.5), ROUNDING_M)
+    assert covariance == (4.0, 1.0, -4.0, 9.0, 0.25, 16.0)
     assert (signed_root(4.0), signed_root(-4.0), signed_root(0.0)) == (2.0, -2.0, 0.0)
 
 
