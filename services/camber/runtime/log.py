@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from typing import Any
 
 import structlog
@@ -20,10 +21,8 @@ class _StandardError:
             return 0
 
     def flush(self) -> None:
-        try:
+        with suppress(OSError):
             sys.stderr.flush()
-        except OSError:
-            return
 
 
 def make_logger(service: str, *, level: str, form: str) -> Any:

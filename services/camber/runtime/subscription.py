@@ -10,6 +10,7 @@ import queue
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -94,12 +95,7 @@ class Subscription:
                     self._waiting.put_nowait(item)
                     return
                 except queue.Full:
-                    self._drop_oldest()
+                    with suppress(queue.Empty):  # the oldest goes
+                        self._waiting.get_nowait()
 
         return self._session.declare_subscriber(channel.key_for(vehicle), arrived)
-
-    def _drop_oldest(self) -> None:
-        try:
-            self._waiting.get_nowait()
-        except queue.Empty:
-            return

@@ -33,22 +33,17 @@ from camber.sensors.units import UNITS, Quantity, Unit, spelt
 CanQuantity = Literal[
     "wheel_speed", "yaw_rate", "steering_angle", "pitch", "roll", "stroke_height", "reverse_gear"
 ]
-QUANTITIES: dict[CanQuantity, Quantity] = {
-    "wheel_speed": "speed",
-    "yaw_rate": "turn rate",
-    "steering_angle": "angle",
-    "pitch": "angle",
-    "roll": "angle",
-    "stroke_height": "length",
-    "reverse_gear": "code",
+QUANTITIES: dict[CanQuantity, tuple[Quantity, str | None]] = {
+    "wheel_speed": ("speed", "wheel_speed_m_s"),
+    "yaw_rate": ("turn rate", "yaw_rate_rad_s"),
+    "steering_angle": ("angle", "steering_angle_rad"),
+    "pitch": ("angle", "pitch_rad"),
+    "roll": ("angle", "roll_rad"),
+    "stroke_height": ("length", None),
+    "reverse_gear": ("code", None),
 }
-_FIELDS: dict[CanQuantity, str] = {
-    "wheel_speed": "wheel_speed_m_s",
-    "yaw_rate": "yaw_rate_rad_s",
-    "steering_angle": "steering_angle_rad",
-    "pitch": "pitch_rad",
-    "roll": "roll_rad",
-}
+"""What each measures, and its field of a Motion."""
+_FIELDS = {name: field for name, (_, field) in QUANTITIES.items() if field is not None}
 
 
 class SignalError(ValueError):
@@ -281,7 +276,7 @@ def _reading(
         text = f"{name}: {use.signal} is a floating-point signal, expected an integer with a factor"
         raise SignalError(text)
     _check_codes(f"{name}: invalid", signal, use.invalid)
-    wanted = QUANTITIES[name]
+    wanted, _ = QUANTITIES[name]
     unit: Unit | None = "1" if wanted == "code" else use.unit
     if unit is None or UNITS[unit][0] != wanted:
         raise SignalError(f"{name}: unit is {unit or 'not set'}, expected one of a {wanted}")
