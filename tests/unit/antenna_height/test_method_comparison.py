@@ -49,14 +49,8 @@ class Compared:
         return self.comparison.text(self.now_ns)
 
 
-STROKE, NEAR, OFF, FAR = (
-    height("stroke", 1.58),
-    height("ranging", 1.60),
-    height("ranging", 1.66),
-    height("ranging", 1.80),
-)
-
-
+STROKE = height("stroke", 1.58)
+NEAR, OFF, FAR = (height("ranging", height_m) for height_m in (1.60, 1.66, 1.80))
 ONE_SECOND = r"stroke 1\.580 m, ranging 1\.660 m for 1 s$"
 
 
@@ -64,23 +58,12 @@ ONE_SECOND = r"stroke 1\.580 m, ranging 1\.660 m for 1 s$"
     "periods",
     [
         ((5.0, NEAR, "$"), (0.5, OFF, "$"), (1.0, NEAR, "$")),
-        (
-            (5.0, NEAR, "$"),
-            (1.2, OFF, r"stroke 1\.580 m, ranging 1\.660 m for 1 s$"),
-            (0.5, NEAR, "."),
-            (1.5, NEAR, "$"),
-        ),
+        ((5.0, NEAR, "$"), (1.2, OFF, ONE_SECOND), (0.5, NEAR, "."), (1.5, NEAR, "$")),
         ((5.0, NEAR, "$"), (0.1, FAR, r".*ranging 1\.800 m")),
         ((0.1, OFF, r".*ranging 1\.660 m"),),
         ((5.0, FAR, "."), (50.0, None, "."), (20.0, None, "$")),
     ],
-    ids=[
-        "a moment of noise",
-        "more than a second until they agree again",
-        "far apart",
-        "never agreed",
-        "one stops",
-    ],
+    ids=["a moment of noise", "until they agree again", "far apart", "never agreed", "one stops"],
 )
 def test_a_disagreement_is_reported_with_both_heights_for_as_long_as_it_lasts(
     periods: tuple[tuple[float, HeightByMethod | None, str], ...],

@@ -23,6 +23,10 @@ def with_lidar(drive):
     return localized(drive)
 
 
+def converged(matches):
+    return matches.where(np.array([status == "converged" for status in matches.word]))
+
+
 def test_the_pose_is_within_centimetres_and_its_ellipse_holds(with_lidar):
     poses = with_lidar.poses.since(SETTLED_S)
     assert len(poses.off) >= 60
@@ -36,12 +40,10 @@ def test_the_pose_is_within_centimetres_and_its_ellipse_holds(with_lidar):
 
 
 def test_no_converged_match_is_wrong(with_lidar):
-    converged = with_lidar.matches.where(
-        np.array([status == "converged" for status in with_lidar.matches.word])
-    )
-    assert len(converged.off) >= 60
-    assert converged.horizontal_m.max() < 0.3
-    assert np.mean(converged.squared <= 9.21) >= 0.95
+    matches = converged(with_lidar.matches)
+    assert len(matches.off) >= 60
+    assert matches.horizontal_m.max() < 0.3
+    assert np.mean(matches.squared <= 9.21) >= 0.95
 
 
 def test_the_road_is_never_another_one(with_lidar):
@@ -49,12 +51,11 @@ def test_the_road_is_never_another_one(with_lidar):
 
 
 def test_matches_from_half_a_metre_off_claim_what_they_are_worth(drive):
-    alone = matched_alone(drive, every=5)
-    converged = alone.where(np.array([status == "converged" for status in alone.word]))
-    assert len(converged.off) >= 10
-    assert np.quantile(converged.horizontal_m, 0.5) < 0.05
-    assert converged.horizontal_m.max() < 0.3
-    assert np.mean(converged.squared <= 9.21) >= 0.9
+    matches = converged(matched_alone(drive, every=5))
+    assert len(matches.off) >= 10
+    assert np.quantile(matches.horizontal_m, 0.5) < 0.05
+    assert matches.horizontal_m.max() < 0.3
+    assert np.mean(matches.squared <= 9.21) >= 0.9
 
 
 def test_without_the_lidar_the_same_drive_is_a_metre_off_and_says_so(drive):

@@ -125,9 +125,8 @@ def test_pose_errors_of_many_drives_have_the_stated_covariance():
     nees = []
     for _ in range(drives):
         reckoner, truth = Reckoner(), np.zeros(3)
-        sigma = np.array(
-            [MODEL.yaw_rate_bias_sigma_rad_s, 1e-6, MODEL.speed_scale_sigma, *[1e-6] * (N_MOTION - 6)]
-        )
+        known = [1e-6] * (N_MOTION - 6)
+        sigma = np.array([MODEL.yaw_rate_bias_sigma_rad_s, 1e-6, MODEL.speed_scale_sigma, *known])
         reckoner.p[3:, 3:] = np.diag(sigma**2)
         bias, scale = rng.normal(0, sigma[0]), rng.normal(0, sigma[2])
         for k in range(301):

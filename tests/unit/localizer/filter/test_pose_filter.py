@@ -197,15 +197,8 @@ def test_first_anchors_after_long_gaps_lie_where_the_covariance_says():
     nis = []
     for seed in range(25):
         vehicle = anchored_vehicle(seed=seed)
-        for speed, rate, seconds in (
-            (8, 0, 30),
-            (5, 0.3, 5),
-            (8, 0.02, 30),
-            (0, 0, 20),
-            (5, -0.3, 5),
-            (8, 0, 30),
-        ):
-            vehicle.drive(seconds, speed, rate)
+        for leg in ((30, 8, 0), (5, 5, 0.3), (30, 8, 0.02), (20, 0, 0), (5, 5, -0.3), (30, 8, 0)):
+            vehicle.drive(*leg)
         nis.append(vehicle.anchor().nis)
     assert np.mean(nis) < stats.chi2.ppf(0.999, 50) / 25
     assert np.mean(nis) > 0.4, "sigmas several times too large help nobody"

@@ -56,11 +56,8 @@ class Vehicle:
         self.truth += (along * math.cos(middle), along * math.sin(middle), turn)
         self.path_m += along
         keep = math.exp(-along / 15.0)
-        self.map_error = keep * self.map_error + math.sqrt(1 - keep**2) * self.rng.normal(0, 1, 3) * (
-            0.02,
-            0.02,
-            0.0005,
-        )
+        new = self.rng.normal(0, 1, 3) * (0.02, 0.02, 0.0005)
+        self.map_error = keep * self.map_error + math.sqrt(1 - keep**2) * new
         self.time_ns += round(STEP_S * 1e9)
         self.sense(slip)
 
@@ -215,11 +212,8 @@ def test_matches_without_a_pose_too_old_repeated_or_ahead_change_nothing():
     vehicle = matched_vehicle()
     before = state_of(vehicle.filter)
     now = vehicle.time_ns
-    for time_ns, outcome in (
-        (now - 2 * 10**9, "too_old"),
-        (vehicle.past[-4][0], "too_old"),
-        (now + 10**9, "ahead"),
-    ):
+    late_ns = vehicle.past[-4][0]
+    for time_ns, outcome in ((now - 2 * 10**9, "too_old"), (late_ns, "too_old"), (now + 10**9, "ahead")):
         assert vehicle.filter.match(time_ns, tuple(vehicle.truth), MATCH, unique=True).outcome == outcome
     assert state_of(vehicle.filter) == before
 
@@ -461,14 +455,8 @@ def test_locked_wheels_bring_a_sliding_vehicle_to_rest():
 
 @pytest.mark.parametrize(("share", "least_m", "most_m"), [(0.3, 0.4, 0.5), (0.0, 0.0, 0.35)])
 def test_links_that_all_lie_off_to_one_side_are_no_better_known_for_being_many(share, least_m, most_m):
-    model = PoseModel(
-        link_shift_share=share,
-        deviation_length_m=1.0,
-        lane_sigma_m=0.01,
-        lane_turn_sigma_m=0.0,
-        lane_wander_m_sqrt_m=0.0,
-    )
-    vehicle = Vehicle(model=model)
+    lane = {"lane_sigma_m": 0.01, "lane_turn_sigma_m": 0.0, "lane_wander_m_sqrt_m": 0.0}
+    vehicle = Vehicle(model=PoseModel(link_shift_share=share, deviation_length_m=1.0, **lane))
     vehicle.filter.start(vehicle.given(sigma_m=5.0))
     coupled = 0
     for _ in range(1000):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from camber.localizer.arrays import Floats
 from camber.localizer.matching.icp import (
     IcpOptions,
     find_correspondences,
@@ -24,14 +25,14 @@ from support.plain_layers import CORRIDOR, MAP_DENSITY, YARD, pose, surfaces
 AT = pose(0.0, 0.0, 0.0)
 
 
-def covariance(
-    walls: list[tuple[tuple[float, float], tuple[float, float]]], density: float
-) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def covariance_at(target: LayerTarget, source: Floats, at: Floats) -> Floats:
+    pairs = find_correspondences(target, source, at)
+    return planar_covariance(normal_equations(target, source, at, pairs, free="planar"), source)
+
+
+def covariance(walls: list[tuple[tuple[float, float], tuple[float, float]]], density: float) -> Floats:
     target = LayerTarget.of(surfaces(walls, MAP_DENSITY, np.random.default_rng(1)))
-    source = surfaces(walls, density, np.random.default_rng(2))
-    return planar_covariance(
-        normal_equations(target, source, AT, find_correspondences(target, source, AT), free="planar"), source
-    )
+    return covariance_at(target, surfaces(walls, density, np.random.default_rng(2)), AT)
 
 
 def test_in_a_yard_everything_is_seen_and_no_better_than_the_floor() -> None:
@@ -59,8 +60,7 @@ def test_twice_as_many_points_on_the_same_walls_add_hardly_any_information() -> 
 def test_without_any_pair_nothing_is_known() -> None:
     target = LayerTarget.of(surfaces(CORRIDOR, 5.0, np.random.default_rng(1)))
     source = surfaces(YARD, 1.0, np.random.default_rng(2)) + 500.0
-    rows = normal_equations(target, source, AT, find_correspondences(target, source, AT), free="planar")
-    assert np.sqrt(np.diag(planar_covariance(rows, source)))[:2] == pytest.approx(UNSEEN_M, rel=1e-3)
+    assert np.sqrt(np.diag(covariance_at(target, source, AT)))[:2] == pytest.approx(UNSEEN_M, rel=1e-3)
 
 
 def test_errors_are_no_larger_than_the_covariance_says() -> None:
@@ -77,10 +77,7 @@ def test_errors_are_no_larger_than_the_covariance_says() -> None:
         fit = icp_point_to_plane(
             [(target, source)], AT, IcpOptions(free="planar", max_distance_m=1.0, first_scale_m=0.15)
         )
-        rows = normal_equations(
-            target, source, fit.transform, find_correspondences(target, source, fit.transform), free="planar"
-        )
         t = fit.transform
         error = np.array([t[0, 3], t[1, 3], np.arctan2(t[1, 0], t[0, 0])])
-        squares.append(float(error @ np.linalg.solve(planar_covariance(rows, source), error)))
+        squares.append(float(error @ np.linalg.solve(covariance_at(target, source, t), error)))
     assert np.mean(squares) < 3.0 * 1.5

@@ -23,14 +23,9 @@ def on_a_slope(points_m: Floats, east: float, north: float) -> Floats:
 SLOPE = (0.10, -0.02)
 ROAD = LayerTarget.of(on_a_slope(road(MAP_DENSITY, np.random.default_rng(1), 20.0), *SLOPE))
 # On the slope with x uphill: nose up is negative pitch.
-TRUTH = pose(
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    math.degrees(math.atan(-0.02 * math.cos(math.atan(0.10)))),
-    -math.degrees(math.atan(0.10)),
-)
+UPHILL_RAD = math.atan(0.10)
+ROLL_DEG = math.degrees(math.atan(-0.02 * math.cos(UPHILL_RAD)))
+TRUTH = pose(0.0, 0.0, 0.0, 0.0, ROLL_DEG, -math.degrees(UPHILL_RAD))
 SEEN = seen_from(TRUTH, on_a_slope(road(8.0, np.random.default_rng(2), 10.0), *SLOPE))
 HEIGHTS = np.zeros(len(SEEN))
 

@@ -39,9 +39,7 @@ def high(east: Floats, north: Floats) -> Floats:
 
 @pytest.fixture(scope="module")
 def crossing() -> RoadHeights:
-    return RoadHeights.of(
-        np.concatenate((strip(low, along_east=True), strip(high, along_east=False, seed=2)))
-    )
+    return RoadHeights.of(np.vstack((strip(low, along_east=True), strip(high, along_east=False, seed=2))))
 
 
 @settings(derandomize=True, max_examples=15, deadline=None)
@@ -52,14 +50,10 @@ def crossing() -> RoadHeights:
     seed=st.integers(0, 99),
 )
 def test_height_and_slope_are_those_of_the_road(east: float, north: float, bend: float, seed: int) -> None:
-    roads = RoadHeights.of(
-        strip(
-            lambda e, n: 40.0 + east * e + north * n + bend * e * e,
-            along_east=True,
-            half_length_m=20.0,
-            seed=seed,
-        )
-    )
+    def height(e: Floats, n: Floats) -> Floats:
+        return 40.0 + east * e + north * n + bend * e * e
+
+    roads = RoadHeights.of(strip(height, along_east=True, half_length_m=20.0, seed=seed))
     for e, n in np.random.default_rng(seed).uniform((-17.0, -3.0), (17.0, 3.0), (20, 2)).tolist():
         truth = 40.0 + east * e + north * n + bend * e * e
         result = roads.elevation(e, n, truth + 1.0)

@@ -64,14 +64,8 @@ def true(trajectory: Trajectory, name: str, time_ns: np.ndarray) -> np.ndarray:
 
 def test_without_errors_the_sensors_give_the_truth(path: Path, trajectory: Trajectory) -> None:
     readings = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1)
-    columns = (
-        (readings.steering, "steering_rad"),
-        (readings.stroke, "stroke_m"),
-        (readings.pitch, "pitch_rad"),
-        (readings.roll, "roll_rad"),
-    )
-    for one, name in columns:
-        assert one is not None
+    for column in ("steering", "stroke", "pitch", "roll"):
+        one, name = getattr(readings, column), column + ("_m" if column == "stroke" else "_rad")
         np.testing.assert_array_equal(one.time_ns, one.true_time_ns)
         np.testing.assert_allclose(one.value, true(trajectory, name, one.time_ns), atol=1e-12)
     wheel = readings.wheel_speed
@@ -189,9 +183,7 @@ def test_attitude_is_off_by_a_bias_that_wanders_and_by_noise() -> None:
     means, steps = [], []
     for seed in range(60):
         readings = read_sensors(t, CAR, path.surface_m, NORMAL, seed)
-        at_rest = np.stack((readings.pitch.value, readings.roll.value))[
-            :, -5000:
-        ]  # flat road: the truth is zero
+        at_rest = np.stack((readings.pitch.value, readings.roll.value))[:, -5000:]  # flat: the truth is zero
         means.append(at_rest.mean(axis=1))
         steps.append(at_rest[:, 1:] - at_rest[:, :-1])
         assert np.corrcoef(at_rest)[0, 1] < 0.95
@@ -223,10 +215,8 @@ def test_attitude_takes_some_of_the_acceleration_for_gravity() -> None:
 def test_each_sensor_has_another_clock(path: Path, trajectory: Trajectory) -> None:
     readings = read_sensors(trajectory, CAR, path.surface_m, NORMAL, 5)
     assert readings.stroke is not None
-    off = [
-        r.time_ns - r.true_time_ns
-        for r in (readings.wheel_speed, readings.yaw_rate, readings.steering, readings.stroke)
-    ]
+    sensors = (readings.wheel_speed, readings.yaw_rate, readings.steering, readings.stroke)
+    off = [r.time_ns - r.true_time_ns for r in sensors]
     assert len({int(o[0]) for o in off}) == 4
     assert all(abs(int(o[0])) < 15_000_000 for o in off)
     assert all(int(np.ptp(o)) > 1_000 for o in off)  # and drifts
