@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -40,6 +40,7 @@ from support.gnss_files import observation_text, read_observations
 from support.random_observations import random_ephemeris, random_epoch
 from support.refusals import Refused
 
+Shown = Callable[..., str]
 NS = 1_000_000_000
 FIRST_NS = gps_ns_from_gpst(CalendarTime(2025, 5, 14, 3, 20, 0))
 PLACE_ECEF_M = (-3817680.7270, 3562839.5216, 3650159.2407)
@@ -99,10 +100,13 @@ def rtcm(epochs: Sequence[ObservationEpoch], *, station: int = 7) -> bytes:
     return b"".join(frame for epoch in epochs for frame in format_observations(epoch, station_id=station))
 
 
-def run(path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, str, str]:
-    code = cli.main(["gnss", "inspect", str(path), *more])
-    out, err = capsys.readouterr()
-    return code, out, err
+@pytest.fixture
+def shown(capsys: pytest.CaptureFixture[str]) -> Shown:
+    def printed(path: Path, *more: str) -> str:
+        assert cli.main(["gnss", "inspect", str(path), *more]) == 0
+        return capsys.readouterr().out
+
+    return printed
 
 
 def only(report: dict[str, Any]) -> dict[str, Any]:
@@ -179,8 +183,8 @@ def test_a_truncated_file_is_shown_up_to_its_damage_which_is_reported(
 ) -> None:
     # Of the last million bytes before the damage nothing comes out of the unpacking.
     packed = gzip.compress(rinex(steady_epochs(1200)).encode(), mtime=0)
-    code, out, err = run(write(tmp_path, packed[: len(packed) * 3 // 4]), capsys)
-    assert code == 2
+    assert cli.main(["gnss", "inspect", str(write(tmp_path, packed[: len(packed) * 3 // 4]))]) == 2
+    out, err = capsys.readouterr()
     assert "gzip compression, expected it whole" in err
     assert "epochs" in out
     assert "as many lines as it announces" in out
@@ -278,9 +282,7 @@ def test_a_recording_of_one_epoch_in_thirty_seconds_is_not_all_gaps(tmp_path: Pa
 # times
 
 
-def test_gaps_repeated_and_late_epochs_are_counted_and_dated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_gaps_repeated_and_late_epochs_are_counted_and_dated(tmp_path: Path, shown: Shown) -> None:
     epochs = steady_epochs()
     shuffled = [*epochs[:10], epochs[9], *epochs[10:20], epochs[12], *epochs[20:30], *epochs[37:]]
     path = write(tmp_path, rinex(shuffled))
@@ -293,8 +295,7 @@ def test_gaps_repeated_and_late_epochs_are_counted_and_dated(
     assert times["interval_s"] == 1.0
     # What comes late is not counted twice.
     assert max(s["epochs"] for s in report["signals"]) == EPOCHS - 7
-    code, out, _ = run(path, capsys)
-    assert code == 0
+    out = shown(path)
     assert "8 s after 2025/05/14 03:20:29.000" in out
     assert "1 repeated, 1 late epochs" in out
 
@@ -325,7 +326,7 @@ def test_the_end_of_a_week_is_no_gap(tmp_path: Path, protocol: str) -> None:
 
 
 def test_the_week_of_rtcm_comes_from_ephemerides_or_the_caller_and_else_is_a_guess_named_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shown: Shown
 ) -> None:
     epochs = steady_epochs(5)
     ephemeris = random_ephemeris(np.random.default_rng(5), "G05", FIRST_NS)
@@ -346,8 +347,8 @@ def test_the_week_of_rtcm_comes_from_ephemerides_or_the_caller_and_else_is_a_gue
     report = inspect_recording(dated(alone))
     assert report["week_from"] == "file date"
     assert only(report)["time"]["first"][:4] == "2031"
-    assert "guessed from the date of the file" in run(dated(alone), capsys)[1]
-    assert "guessed" not in run(dated(with_ephemeris), capsys)[1]
+    assert "guessed from the date of the file" in shown(dated(alone))
+    assert "guessed" not in shown(dated(with_ephemeris))
 
 
 def test_the_week_of_corrections_is_that_of_the_receiver_they_are_for(tmp_path: Path) -> None:
@@ -393,7 +394,7 @@ def test_a_port_with_everything_on_it_is_taken_apart(tmp_path: Path) -> None:
     assert station["antenna_height_m"] == pytest.approx(0.05)
 
 
-def test_positions_are_counted_by_quality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_positions_are_counted_by_quality(tmp_path: Path, shown: Shown) -> None:
     qualities = [SolutionQuality.FIX] * 4 + [SolutionQuality.FLOAT] * 3 + [SolutionQuality.SINGLE]
     lines = [format_pos_line(solution(k, quality)) for k, quality in enumerate(qualities)]
     path = write(tmp_path, format_pos_header() + b"".join(lines) + b"2025/05/14 nonsense\n")
@@ -402,9 +403,7 @@ def test_positions_are_counted_by_quality(tmp_path: Path, capsys: pytest.Capture
     assert report["positions"]["time"]["interval_s"] == 1.0
     assert report["problems"]["count"] == 1
     assert "recording:11:" in report["problems"]["first"][0]
-    code, out, _ = run(path, capsys)
-    assert code == 0
-    assert "4 fix, 3 float, 1 single" in out
+    assert "4 fix, 3 float, 1 single" in shown(path)
 
 
 def test_ephemerides_are_counted_once_each_with_those_that_no_orbit_can_be(tmp_path: Path) -> None:
@@ -424,26 +423,20 @@ def test_ephemerides_are_counted_once_each_with_those_that_no_orbit_can_be(tmp_p
 # output
 
 
-def test_json_holds_all_and_nothing_that_json_has_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_holds_all_and_nothing_that_json_has_not(tmp_path: Path, shown: Shown) -> None:
     path = write(tmp_path, rinex(steady_epochs(1)))
-    code, out, _ = run(path, capsys, "--json")
-    assert code == 0
 
     def refuse(text: str) -> float:
         raise AssertionError(text)
 
-    report = json.loads(out, parse_constant=refuse)
+    report = json.loads(shown(path, "--json"), parse_constant=refuse)
     assert report == json.loads(json.dumps(inspect_recording(path)))
     # Of one epoch there is no interval: not known is no zero.
     assert report["observations"][0]["time"]["interval_s"] is None
 
 
-def test_columns_of_the_table_stand_below_each_other(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _, out, _ = run(write(tmp_path, rinex(steady_epochs())), capsys)
+def test_columns_of_the_table_stand_below_each_other(tmp_path: Path, shown: Shown) -> None:
+    out = shown(write(tmp_path, rinex(steady_epochs())))
     lines = out.splitlines()
     head = next(k for k, line in enumerate(lines) if line.strip().startswith("signal"))
     rows = lines[head + 1 : lines.index("", head)]

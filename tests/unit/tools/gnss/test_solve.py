@@ -6,6 +6,7 @@ import gzip
 import os
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,8 @@ from support.gnss_files import observation_text, read_navigation, read_observati
 from support.refusals import Refused
 
 NS = 1_000_000_000
+Solve = Callable[..., tuple[str, list[ReceiverSolution]]]
+"""The command's output and solutions, with further arguments."""
 STREAMS = ("observations.rover_obs=rover.ubx", "observations.base_obs=base.rtcm")
 
 
@@ -49,15 +52,17 @@ def raw(drive: Path, *overrides: str) -> RawRecording:
     return load_raw(observations)
 
 
-def solve(
-    drive: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: str
-) -> tuple[str, list[ReceiverSolution]]:
-    code = cli.main(["gnss", "solve", str(drive / "drive.toml"), "--out", str(out), *more])
-    output, err = capsys.readouterr()
-    assert (code, err) == (0, "")
-    solutions = list(read_pos(out / "engine.pos"))
-    assert all(isinstance(item, ReceiverSolution) for item in solutions)
-    return output, [item for item in solutions if isinstance(item, ReceiverSolution)]
+@pytest.fixture
+def solve(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Solve:
+    def solved(*more: str) -> tuple[str, list[ReceiverSolution]]:
+        code = cli.main(["gnss", "solve", str(drive / "drive.toml"), "--out", str(tmp_path), *more])
+        output, err = capsys.readouterr()
+        assert (code, err) == (0, "")
+        solutions = list(read_pos(tmp_path / "engine.pos"))
+        assert all(isinstance(item, ReceiverSolution) for item in solutions)
+        return output, [item for item in solutions if isinstance(item, ReceiverSolution)]
+
+    return solved
 
 
 def errors_m(solutions: list[ReceiverSolution], truth: TruthTable) -> np.ndarray:
@@ -72,10 +77,8 @@ def errors_m(solutions: list[ReceiverSolution], truth: TruthTable) -> np.ndarray
     return distance
 
 
-def test_in_the_open_every_epoch_is_fixed_where_the_antenna_was(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output, solutions = solve(drive, tmp_path, capsys)
+def test_in_the_open_every_epoch_is_fixed_where_the_antenna_was(drive: Path, solve: Solve) -> None:
+    output, solutions = solve()
     rover = read_observations(drive / "rover.obs").epochs
     assert [s.time_ns for s in solutions] == [epoch.time_ns for epoch in rover]
     assert Counter(s.quality for s in solutions) == {SolutionQuality.FIX: 121}
@@ -94,17 +97,15 @@ def test_in_the_open_every_epoch_is_fixed_where_the_antenna_was(
     assert all(s.ratio is not None and s.ratio >= 3.0 and s.age_s == 0.0 for s in solutions)
 
 
-def test_streams_of_the_receiver_and_the_base_give_the_same_as_rinex(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_streams_of_the_receiver_and_the_base_give_the_same_as_rinex(drive: Path, solve: Solve) -> None:
     (drive / "base.rtcm.gz").write_bytes(gzip.compress((drive / "base.rtcm").read_bytes()))
     output, from_streams = solve(
-        drive, tmp_path / "a", capsys, "--set", STREAMS[0], "--set", "observations.base_obs=base.rtcm.gz",
+        "--set", STREAMS[0], "--set", "observations.base_obs=base.rtcm.gz",
         "--set", 'observations.ephemerides=["rover.ubx", "base.rtcm.gz"]',
     )  # fmt: skip
     assert "121 fixed" in output
     assert "Base position from RTCM 1005 or 1006 of station 1." in output
-    _, from_rinex = solve(drive, tmp_path / "b", capsys)
+    _, from_rinex = solve()
     for a, b in zip(from_streams, from_rinex, strict=True):
         # RINEX has mm of the code, the streams their own steps, and other ionosphere.
         assert ecef_from_geodetic_scalar(a.latitude_rad, a.longitude_rad, a.height_m) == pytest.approx(
@@ -173,12 +174,10 @@ def test_of_several_base_positions_the_most_frequent_is_used_and_noted(drive: Pa
     assert any("2 positions up to 12.000 m apart" in note for note in recording.notes)
 
 
-def test_without_a_base_position_nothing_is_fixed_and_the_reason_is_given(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_base_position_nothing_is_fixed_and_the_reason_is_given(drive: Path, solve: Solve) -> None:
     text = (drive / "base.obs").read_text().splitlines(keepends=True)
     (drive / "nowhere.obs").write_text("".join(line for line in text if "APPROX POSITION XYZ" not in line))
-    output, solutions = solve(drive, tmp_path, capsys, "--set", "observations.base_obs=nowhere.obs")
+    output, solutions = solve("--set", "observations.base_obs=nowhere.obs")
     assert {s.quality for s in solutions} == {SolutionQuality.SINGLE}
     assert "121 no base position" in output
     assert "Base position from nothing." in output
@@ -238,14 +237,12 @@ def test_the_ionosphere_of_the_navigation_file_reaches_the_engine(drive: Path) -
     assert np.linalg.norm(single(recording.ionosphere) - single(None), axis=1).min() > 0.1
 
 
-def test_a_file_with_a_damaged_line_is_used_and_the_line_is_noted(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_with_a_damaged_line_is_used_and_the_line_is_noted(drive: Path, solve: Solve) -> None:
     lines = (drive / "rover.obs").read_text().splitlines(keepends=True)
     at = [k for k, line in enumerate(lines) if line.startswith(">")][5]
     lines[at + 3] = lines[at + 3][:5] + "12a4" + lines[at + 3][9:]
     (drive / "damaged.obs").write_text("".join(lines))
-    output, solutions = solve(drive, tmp_path, capsys, "--set", "observations.rover_obs=damaged.obs")
+    output, solutions = solve("--set", "observations.rover_obs=damaged.obs")
     assert f"\ndamaged.obs:{at + 4}: " in output
     assert len(solutions) == 121
 
@@ -253,20 +250,18 @@ def test_a_file_with_a_damaged_line_is_used_and_the_line_is_noted(
 # options
 
 
-def test_options_reach_the_engine(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_reach_the_engine(solve: Solve) -> None:
     def mean_satellites(*more: str) -> float:
-        return float(
-            np.mean([s.satellites for s in solve(drive, tmp_path, capsys, *more)[1] if s.satellites])
-        )
+        return float(np.mean([s.satellites for s in solve(*more)[1] if s.satellites]))
 
     everything = mean_satellites()
     gps = mean_satellites("--systems", "g")
     assert gps < mean_satellites("--systems", "GE") < everything
     assert mean_satellites("--elevation-deg", "35") < everything
     assert mean_satellites("--cn0-dbhz", "44") < everything
-    output, _ = solve(drive, tmp_path, capsys, "--ratio", "1000", "--no-partial")
+    output, _ = solve("--ratio", "1000", "--no-partial")
     assert "121 ratio too low" in output
-    output, solutions = solve(drive, tmp_path, capsys, "--set", "end_s=4")
+    output, solutions = solve("--set", "end_s=4")
     assert len(solutions) == 41
 
 
@@ -330,10 +325,8 @@ def test_ephemerides_that_are_none_are_refused(drive: Path) -> None:
 # the plot
 
 
-def test_the_plot_has_a_key_with_the_number_of_each_quality(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    solve(drive, tmp_path, capsys)
+def test_the_plot_has_a_key_with_the_number_of_each_quality(tmp_path: Path, solve: Solve) -> None:
+    solve()
     texts = [
         text.text
         for text in ElementTree.parse(tmp_path / "engine.svg").iter("{http://www.w3.org/2000/svg}text")
