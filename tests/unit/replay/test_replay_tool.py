@@ -74,9 +74,9 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
     assert configs["localizer"].get("initial_pose") == (None if start is None else start.model_dump())
 
 
-@pytest.mark.parametrize("way", get_args(AntennaHeightMethod.model_fields["way"].annotation))
+@pytest.mark.parametrize("method", get_args(AntennaHeightMethod.model_fields["way"].annotation))
 def test_every_source_of_the_antenna_height_is_in_the_settings(
-    way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+    method: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
     manifest, _ = drive
     arms = LeverArms.model_validate(
@@ -84,7 +84,7 @@ def test_every_source_of_the_antenna_height_is_in_the_settings(
     )
     height = AntennaHeightMethod.model_validate(
         {
-            "way": way,
+            "way": method,
             "height_m": 1.58,
             "sigma_m": 0.02,
             "suspension_to_antenna_m": 0.9,
@@ -102,7 +102,7 @@ def test_every_source_of_the_antenna_height_is_in_the_settings(
     }
     settings_table = antenna_height_settings(manifest.model_copy(update={"antenna_height": height, **there}))
     settings = AntennaHeightSettings(**settings_table)
-    assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (way, 1.58, 0.02)
+    assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (method, 1.58, 0.02)
     assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
     assert settings.beam_azimuth_deg == 180.0
     places = (settings.antenna, settings.lidar, settings.ranging, settings.suspension)

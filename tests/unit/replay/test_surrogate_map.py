@@ -28,11 +28,7 @@ def drive_along(
     points: list[Array] = []
     for a, b in pairwise(corners_m):
         n = max(1, round(math.dist(a[:2], b[:2]) / step_m))
-        points += (
-            [np.tile(a, (stand, 1)), np.linspace(a, b, n + 1)[:-1]]
-            if stand
-            else [np.linspace(a, b, n + 1)[:-1]]
-        )
+        points += [np.tile(a, (stand, 1)), np.linspace(a, b, n + 1)[:-1]]
     track = np.vstack((*points, corners_m[-1]))
     n = len(track)
     latitude, longitude, height = FRAME.geodetic_from_east_north_array(track[:, :2], track[:, 2] + ANTENNA_M)

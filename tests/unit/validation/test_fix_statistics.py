@@ -102,14 +102,6 @@ def test_none_missed_of_n_bounds_the_rate_by_three_over_n() -> None:
     assert bound(30) == 0.1
 
 
-def test_without_truth_what_needs_it_is_none_and_never_zero() -> None:
-    f = decision_statistics(*judge([(0.0, UNKNOWN, True), (1.0, UNKNOWN, False)]), truth=False)
-    assert f["confirmed"] == {"count": 1, "wrong": None, "truth_unknown": 1}
-    assert f["right"] == {"count": None, "kept": None, "erroneous": None}
-    assert set(f["episodes"].values()) == {None}
-    assert f["erroneous"]["count"] == 1
-
-
 def test_a_truth_that_covers_no_fix_is_no_truth() -> None:
     f = decision_statistics(*judge([(0.0, UNKNOWN, True)]), truth=True)
     assert f["confirmed"]["wrong"] is None

@@ -208,16 +208,9 @@ def test_without_recordings_the_page_says_that_they_were_skipped(tmp_path, monke
 def test_a_drive_that_cannot_be_run_is_a_line_on_the_page_and_an_exit_code(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("CAMBER_DATA", str(tmp_path))
     written = tmp_path / "evidence.md"
-    arguments = ["--only", "nagoya", "--seeds", "1", "--processes", "1", "--quiet", "--page", str(written)]
-    missing = [
-        "--nagoya",
-        str(tmp_path / "none.toml"),
-        "--out",
-        str(tmp_path),
-        "--lab",
-        str(tmp_path / "no.json"),
-    ]
-    assert evidence.main([*arguments, *missing]) == 1
+    files = {"--nagoya": "none.toml", "--out": "", "--lab": "no.json", "--page": written.name}
+    arguments = [text for option, name in files.items() for text in (option, str(tmp_path / name))]
+    assert evidence.main([*arguments, "--only", "nagoya", "--seeds", "1", "--processes", "1", "--quiet"]) == 1
     assert "could not be run" in written.read_text("utf-8")
 
 
@@ -240,8 +233,8 @@ def test_the_page_alone_is_made_of_the_figures_that_are_there_and_drives_nothing
     assert "--page-only needs --page" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("part", evidence.PARTS)
-def test_help_names_the_parts(part: str, capsys) -> None:
+def test_help_names_the_parts(capsys) -> None:
     with pytest.raises(SystemExit):
         evidence.main(["--help"])
-    assert part in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert all(part in printed for part in evidence.PARTS)

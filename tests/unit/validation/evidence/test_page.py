@@ -103,7 +103,7 @@ def test_without_the_drive_that_has_no_re_estimation_that_part_was_not_run() -> 
 
 def faults() -> dict[str, Any]:
     row = {"begin_s": 30.0, "end_s": 50.0, "fixed": 90, "wrong": 88, "wrong_confirmed": 0}
-    row |= {"wrong_confirmed_after": 0, "said": {}, "correction_before_m": 0.0}
+    row |= {"wrong_confirmed_after": 0, "correction_before_m": 0.0}
     row |= {"correction_at_end_m": None, "correction_after_m": 0.01}
     return {
         "scenario": "faults",
