@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,15 +45,8 @@ def groups(first: int) -> list[list[Contribution]]:
     batch = random_batch("b", RECORDS, rng)
     return [
         [
-            Contribution(
-                f"car{k % 50}",
-                "batch",
-                f"{first}.{k}.{n}",
-                "WGS84",
-                1,
-                2024.0,
-                None,
-                batch.observations.copy(),
+            replace(
+                batch, vehicle=f"car{k % 50}", id=f"{first}.{k}.{n}", observations=batch.observations.copy()
             )
             for n in range(GROUP)
         ]

@@ -135,15 +135,12 @@ def _path(
     """
     samples = np.arange(*lines.runs[run])
     nodes = nodes_of_run[run].tolist()
-    ends: list[int | None] = []
-    for joint in lines.joined[run]:
-        if joint < 0 or run_of_sample[joint] < 0:
-            ends.append(None)
-            continue
-        there = nodes_of_run[int(run_of_sample[joint])]
-        ends.append(int(there[np.argmin(np.abs(lines.distance_m[there] - lines.distance_m[joint]))]))
-    before = [] if ends[0] is None else [ends[0]]
-    after = [] if ends[1] is None else [ends[1]]
+    ends: list[list[int]] = [[], []]
+    for end, joint in zip(ends, lines.joined[run], strict=True):
+        if joint >= 0 and run_of_sample[joint] >= 0:
+            there = nodes_of_run[int(run_of_sample[joint])]
+            end.append(int(there[np.argmin(np.abs(lines.distance_m[there] - lines.distance_m[joint]))]))
+    before, after = ends
     path = np.concatenate((np.array(before, dtype=np.int64), samples, np.array(after, dtype=np.int64)))
     places = [node - int(samples[0]) + len(before) for node in nodes]
     if before:

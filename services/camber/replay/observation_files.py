@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -64,7 +65,9 @@ def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol,
     protocol, data = read_raw_file(path)
     if protocol == "rinex":
         header = _rinex_header(path.name, data)
-        epochs = _cut(data, len(header), _before_next(data, _rinex_begins(path.name, data, header)))
+        begins = [*_rinex_begins(path.name, data, header), (len(data), 0)]
+        marks: _Marks = ((end, time_ns) for (_, time_ns), (end, _) in pairwise(begins))
+        epochs = _cut(data, len(header), marks)
     else:
         if protocol == "rtcm" and near_ns is None:
             expected = "another file of the drive that gives the date: RTCM 3 does not"
@@ -124,17 +127,6 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
         except ValueError:
             continue
         yield line.start(), time_ns + offset_ns
-
-
-def _before_next(data: bytes, begins: Iterator[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """From where epochs begin to where they end: before the next."""
-    before_ns: int | None = None
-    for begin, time_ns in begins:
-        if before_ns is not None:
-            yield begin, before_ns
-        before_ns = time_ns
-    if before_ns is not None:
-        yield len(data), before_ns
 
 
 def _frames(data: bytes) -> Iterator[tuple[int, int]]:

@@ -81,14 +81,10 @@ def make_motion(truth: TruthTable, errors: Surrogates) -> list[Motion]:
         + errors.steering_noise_rad * white("steering noise")
     )
     made = {"wheel_speed": wheel, "yaw_rate": yaw_rate, "steering": steering}
-    wheel_column, yaw_rate_column, steering_column = (
-        _optional(values if name in errors.inputs else np.full(n, np.nan)) for name, values in made.items()
-    )
+    columns = (_optional(values) if name in errors.inputs else [None] * n for name, values in made.items())
     return [
         Motion(time_ns=t, wheel_speed_m_s=w, yaw_rate_rad_s=r, steering_angle_rad=s)
-        for t, w, r, s in zip(
-            truth.time_ns.tolist(), wheel_column, yaw_rate_column, steering_column, strict=True
-        )
+        for t, w, r, s in zip(truth.time_ns.tolist(), *columns, strict=True)
     ]
 
 

@@ -25,19 +25,18 @@ from camber.schemas.pose import Pose
 from camber.validation.fix_statistics import CandidateFixes, FixDecisions, Flags
 
 
-def ratio_test_only(fixes: CandidateFixes) -> FixDecisions:
-    """Every fix is confirmed."""
-    return _decisions(fixes, np.ones(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
-
-
-def always_unknown(fixes: CandidateFixes) -> FixDecisions:
-    """No fix is confirmed."""
-    return _decisions(fixes, np.zeros(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
-
-
-def height_only(fixes: CandidateFixes, difference_m: Float64, tolerance_m: float) -> FixDecisions:
-    """The height check alone, of `difference_m` (n,) by `height_differences_m`."""
-    return _decisions(fixes, np.abs(difference_m) <= tolerance_m, np.abs(difference_m) > tolerance_m)
+def baseline_decisions(
+    fixes: CandidateFixes, difference_m: Float64, tolerance_m: float
+) -> dict[str, FixDecisions]:
+    """Decisions of each baseline; `difference_m` (n,) by `height_differences_m`."""
+    every, none = np.ones(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool)
+    return {
+        "ratio_test_only": _decisions(fixes, every, none),
+        "height_only": _decisions(
+            fixes, np.abs(difference_m) <= tolerance_m, np.abs(difference_m) > tolerance_m
+        ),
+        "always_unknown": _decisions(fixes, none, none),
+    }
 
 
 def height_differences_m(

@@ -13,7 +13,7 @@ from camber.formats.drive.recording import Recorded
 from camber.replay.run_folder import DriveFacts, RunFacts
 from camber.schemas.base import Float64, Int64
 from camber.schemas.gnss import Fix
-from camber.validation.baselines import always_unknown, height_differences_m, height_only, ratio_test_only
+from camber.validation.baselines import baseline_decisions, height_differences_m
 from camber.validation.fix_statistics import (
     CandidateFixes,
     Episode,
@@ -192,14 +192,10 @@ def _baselines(
     difference_m = height_differences_m(
         messages, recorded.get("pose", ()), recorded.get("antenna_height", ())
     )
-    return {
-        "ratio_test_only": decision_statistics(fixes, ratio_test_only(fixes), truth=truth),
-        "height_only": {
-            "tolerance_m": tolerance_m,
-            **decision_statistics(fixes, height_only(fixes, difference_m, tolerance_m), truth=truth),
-        },
-        "always_unknown": decision_statistics(fixes, always_unknown(fixes), truth=truth),
-    }
+    decisions = baseline_decisions(fixes, difference_m, tolerance_m)
+    figures = {name: decision_statistics(fixes, each, truth=truth) for name, each in decisions.items()}
+    figures["height_only"] = {"tolerance_m": tolerance_m, **figures["height_only"]}
+    return figures
 
 
 def _alert_limit_m(positions: Positions, drive: DriveFacts) -> float | None:
