@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -90,8 +91,8 @@ class GnssService(Service[GnssSettings]):
             self._read(port)
         if self._rover is None:
             return
-        for reader in self._silent(now_ns):
-            self._dispatch(reader.fell_silent())
+        for key in [key for key, fed_ns in self._fed_ns.items() if now_ns - fed_ns > _END_OF_FILE_NS]:
+            self._dispatch(self._readers[key].fell_silent())
         for epoch in self._rover.take_pending():
             if not self._is_refused(epoch.time_ns):
                 self._publish_solved(self._rover.solve(epoch))
@@ -170,10 +171,8 @@ class GnssService(Service[GnssSettings]):
         self._feed(received.stream, received.protocol, received.stream, received.payload.tobytes())
 
     def _feed(self, stream: Stream, protocol: StreamProtocol, name: str, data: bytes) -> None:
-        if not self._solves and (stream != "rover" or protocol in ("rinex", "rtcm")):
-            self._leave_out(f"{stream}.{protocol}")
-            return
-        if self._solves and protocol in ("pos", "nmea"):
+        unused = ("pos", "nmea") if self._solves else ("rinex", "rtcm")
+        if protocol in unused or not (self._solves or stream == "rover"):
             self._leave_out(f"{stream}.{protocol}")
             return
         reader = self._reader(stream, protocol, name)
@@ -194,11 +193,6 @@ class GnssService(Service[GnssSettings]):
             reader = StreamReader(stream, protocol, name, near_ns=now_ns, utc_date=self.settings.nmea_date)
             self._readers[stream, protocol] = reader
         return reader
-
-    def _silent(self, now_ns: int) -> list[StreamReader]:
-        """Readers of streams without data for a while."""
-        silent = [key for key, fed_ns in self._fed_ns.items() if now_ns - fed_ns > _END_OF_FILE_NS]
-        return [self._readers[key] for key in silent]
 
     def _report_damage(self, reader: StreamReader, protocol: StreamProtocol) -> None:
         """Count and report unusable parts of a stream, whenever there are more."""
@@ -234,15 +228,10 @@ class GnssService(Service[GnssSettings]):
                 case ReceiverIntegrity():
                     self.bus.publish("receiver_integrity", item)
                 case ReceiverSolution():
-                    if not self._solves:
-                        self._publish_receiver(item)
+                    if not (self._solves or self._is_refused(item.time_ns)):
+                        self._publish_fix(partial(fix_from, item, self.settings.datum))
                 case _ if self._rover is not None:
                     self._rover.receive(stream, item)
-
-    def _publish_receiver(self, solution: ReceiverSolution) -> None:
-        if self._is_refused(solution.time_ns):
-            return
-        self._publish_fix(lambda: fix_from(solution, self.settings.datum))
 
     def _publish_solved(self, solved: SolvedEpoch) -> None:
         solution = solved.solution

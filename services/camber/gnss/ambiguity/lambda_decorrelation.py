@@ -18,11 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-
-Floats = NDArray[np.float64]
+from camber.formats.observations import Floats
 
 _LEAST_PIVOT = 1e-13
 """A conditional variance below this share of the variance is rounding: the covariance is singular."""

@@ -7,11 +7,9 @@ tried in the order of their distance, and the search ellipsoid shrinks to the wo
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-
-Floats = NDArray[np.float64]
+from camber.formats.observations import Floats
 
 
 @compiled

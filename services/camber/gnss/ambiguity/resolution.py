@@ -12,14 +12,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
+from camber.formats.observations import Floats
 from camber.gnss.ambiguity.lambda_decorrelation import Decorrelation, decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
 from camber.gnss.ambiguity.ratio_thresholds import ratio_for_failure_rate
-
-Floats = NDArray[np.float64]
 
 # Status of a resolution.
 RESOLVED, RATIO_TOO_LOW, UNLIKELY, SEARCH_CUT, INVALID = range(5)

@@ -91,13 +91,8 @@ def velocity_from(velocity: DopplerVelocity, heading: HeadingEstimate | None) ->
 
 def observations_from(epoch: ObservationEpoch, station: str) -> Observations:
     """Raw observations of one epoch, unchanged."""
-    columns = (
-        epoch.pseudorange_m,
-        epoch.carrier_phase_cycles,
-        epoch.doppler_hz,
-        epoch.cn0_dbhz,
-        epoch.lock_time_s,
-    )
+    measured = epoch.pseudorange_m, epoch.carrier_phase_cycles, epoch.doppler_hz
+    columns = *measured, epoch.cn0_dbhz, epoch.lock_time_s
     present = np.zeros(epoch.satellite.size, np.uint8)
     for bit, column in enumerate(columns):
         present |= (~np.isnan(column)).astype(np.uint8) << np.uint8(bit)

@@ -60,15 +60,6 @@ class SubsetCandidate:
     agreeing: int
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _EpochSatellites:
-    """Satellites (m,) of an epoch, index (n,) of each row's satellite, and which are given for all subsets (m,)."""
-
-    number: Integers
-    place: Integers
-    given: Booleans
-
-
 def subset_candidates(
     solution: Solution,
     criteria: FixCriteria,
@@ -87,8 +78,7 @@ def subset_candidates(
     numbers, place = np.unique(rows.satellite, return_inverse=True)
     names = [satellite_name(int(number)) for number in numbers]
     given = np.array([name not in excluded for name in names], np.bool_)
-    satellites = _EpochSatellites(number=numbers, place=place, given=given)
-    subsets = _subsets(rows, satellites, strategy, max(most_trials, 0))
+    subsets = _subsets(rows, place, given, strategy, most=max(most_trials, 0))
     if not subsets:
         return 0, []
     masks = np.array(subsets)[:, place]
@@ -116,17 +106,16 @@ def subset_candidates(
 
 
 def _subsets(
-    rows: SingleDifferences, satellites: _EpochSatellites, strategy: Strategy, most: int
+    rows: SingleDifferences, place: Integers, given: Booleans, strategy: Strategy, most: int
 ) -> list[Booleans]:
     """Satellites (m,) of each trial, `most` at most; no repetitions, none with fewer than a position needs.
 
-    Several strategies take turns.
+    Several strategies take turns. `place` (n,) is the index of each row's satellite; only the `given` (m,) are tried.
     """
-    given = satellites.given
     if strategy == "explicit":
         return [given][:most] if given.sum() >= _LEAST_SATELLITES else []
     parts = _ALL if strategy == "all" else (strategy,)
-    orders = [_left_out(rows, satellites, part) for part in parts]
+    orders = [_left_out(rows, place, given, part) for part in parts]
     subsets: dict[bytes, Booleans] = {}
     for left_out in (one for turn in zip_longest(*orders) for one in turn if one is not None):
         if len(subsets) >= most:
@@ -137,9 +126,9 @@ def _subsets(
     return list(subsets.values())
 
 
-def _left_out(rows: SingleDifferences, satellites: _EpochSatellites, strategy: Strategy) -> Booleans:
+def _left_out(rows: SingleDifferences, place: Integers, given: Booleans, strategy: Strategy) -> Booleans:
     """Satellites left out by each trial (k, m) of one strategy, the most suspect first."""
-    m, place, given = satellites.number.size, satellites.place, satellites.given
+    m = given.size
     if strategy == "leave_one_system_out":
         systems = np.zeros(m, np.int64)
         systems[place] = systems_of(rows.group)
