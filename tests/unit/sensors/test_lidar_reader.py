@@ -60,21 +60,14 @@ def packets(kind: str) -> tuple[tuple[int, bytes], ...]:
     return tuple((time_ns + LATE_NS, payload) for time_ns, payload in made)
 
 
-def reader(kind: str, *, least_share: float = 0.5) -> LidarReader:
-    scale: TimeScale = "utc_hour" if kind == "velodyne" else "tai"
-    return LidarReader("top", decoder(kind), clock(scale), least_share)
-
-
-def decoder(kind: str) -> LidarDecoder:
-    return VelodyneDecoder(MODELS["HDL-32E"]) if kind == "velodyne" else ouster()
-
-
-def clock(scale: TimeScale) -> SensorClock:
-    return SensorClock(scale, 0, 100_000_000)
-
-
-def ouster(metadata: str | None = None) -> OusterDecoder:
-    return OusterDecoder(read_ouster_metadata(metadata or ouster_metadata(), "m.json"))
+def reader(
+    kind: str, scale: TimeScale | None = None, metadata: str | None = None, *, least_share: float = 0.5
+) -> LidarReader:
+    decoder: LidarDecoder = VelodyneDecoder(MODELS["HDL-32E"])
+    if kind == "ouster":
+        decoder = OusterDecoder(read_ouster_metadata(metadata or ouster_metadata(), "m.json"))
+    clock = SensorClock(scale or ("utc_hour" if kind == "velodyne" else "tai"), 0, 100_000_000)
+    return LidarReader("top", decoder, clock, least_share)
 
 
 def read(one: LidarReader, arrived, at_once: int = 16) -> tuple[list[Sweep], list[tuple[str, str]]]:
@@ -344,8 +337,7 @@ def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_free_running_sensor_is_late_by_no_more_than_its_network(kind: str) -> None:
     """A packet leaves once its last measurement is made; that is not the delay of its first."""
-    one = LidarReader("top", decoder(kind), clock("arrival"), 0.5)
-    result, _ = read(one, packets(kind))
+    result, _ = read(reader(kind, "arrival"), packets(kind))
     for sweep, true in zip(result, sweeps(kind), strict=True):
         assert abs(sweep.time_ns - true.time_ns - LATE_NS) < 150_000
 
@@ -359,8 +351,7 @@ def test_an_ouster_in_another_mode_than_in_its_metadata_gives_no_sweep(mode: str
     text = text.replace('"column_window": [0, 1023]', f'"column_window": [0, {columns - 1}]')
     metadata = read_ouster_metadata(text, "m.json")
     assert (metadata.columns, metadata.turns_hz) == (columns, int(mode.split("x")[1]))
-    one = LidarReader("top", OusterDecoder(metadata), clock("tai"), 0.5)
-    result, issues = read(one, packets("ouster"))
+    result, issues = read(reader("ouster", metadata=text), packets("ouster"))
     assert result == []
     assert "lidar_model" in {code for code, _ in issues}
 
@@ -472,7 +463,6 @@ def test_another_beam_table_would_be_noticed() -> None:
     metadata = json.loads(ouster_metadata())
     beams = metadata["beam_intrinsics"]
     beams["beam_altitude_angles"] = [angle + 0.1 for angle in beams["beam_altitude_angles"]]
-    one = LidarReader("top", ouster(json.dumps(metadata)), clock("tai"), 0.5)
-    result, _ = read(one, packets("ouster"))
+    result, _ = read(reader("ouster", metadata=json.dumps(metadata)), packets("ouster"))
     with pytest.raises(AssertionError):
         alike("ouster", result[0], sweeps("ouster")[0])

@@ -186,14 +186,11 @@ def test_malformed_mountpoint_is_refused_with_the_expected_form(url: str) -> Non
 @pytest.mark.parametrize(
     "url",
     [
-        "ntrip://driver:geheim@host:2101/BASE",
-        "ntrips://driver:ge/heim@host:2101/BASE",
-        "driver:geheim@host:2101",
-        "geheim@host",
-        "tcp:driver:geheim@host:2101",
+        "ntrip://driver:geheim@host:2101/BASE", "ntrips://driver:ge/heim@host:2101/BASE",
+        "driver:geheim@host:2101", "geheim@host", "tcp:driver:geheim@host:2101",
         "ntrip://driver:ge@heim@host:2101/BASE",
     ],
-)
+)  # fmt: skip
 def test_a_password_in_an_address_is_refused_and_not_repeated(url: str) -> None:
     with pytest.raises(ValueError, match=r"\*\*\*\*@host") as raised:
         parse_source(url)
@@ -221,17 +218,11 @@ def test_invalid_ntrip_access_is_refused(wrong: dict[str, object], expected: str
 @pytest.mark.parametrize(
     "url",
     [
-        "file:relative.pos",
-        "file:/a:b",
-        "tcp:caster.example:2101",
-        "tcp:[::1]:2101",
-        "serial:/dev/ttyACM0",
-        "serial:/dev/ttyACM0:9600",
-        "serial:/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0",
-        "ntrip://caster.example:2101/BASE",
-        "ntrips://[::1]:443/VRS_3_4G",
+        "file:relative.pos", "file:/a:b", "tcp:caster.example:2101", "tcp:[::1]:2101", "serial:/dev/ttyACM0",
+        "serial:/dev/ttyACM0:9600", "serial:/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0",
+        "ntrip://caster.example:2101/BASE", "ntrips://[::1]:443/VRS_3_4G",
     ],
-)
+)  # fmt: skip
 def test_valid_sources_are_parsed_without_opening(url: str) -> None:
     assert callable(parse_source(url))
 
