@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES
+from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES, gps_ns_near
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import GPS_MINUS_BDT_NS, Ephemeris
 from camber.formats.rinex.observation_header import decimal_number
@@ -99,7 +99,7 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
         satellite=ord(system) * 256 + number,
         toe_ns=toe_ns,
         toc_ns=toc_ns,
-        transmission_ns=_transmission_ns(transmission_s, toe_ns, offset_ns),
+        transmission_ns=_transmission_ns(system, transmission_s, toe_ns),
         iode=int(values["iode"]),
         clock=(af0, af1, af2),
         # −1 of Galileo: no accuracy prediction.
@@ -134,7 +134,7 @@ def _toe_ns(system: str, toe_s: float, toc_ns: int, week: float) -> int:
     """
     if not 0.0 <= toe_s <= NS_PER_WEEK / NS_PER_SECOND:
         raise ValueError(f"toe {toe_s} s of the week")
-    toe_ns = _nearest_ns(round(toe_s * NS_PER_SECOND), toc_ns)
+    toe_ns = gps_ns_near("G", round(toe_s * NS_PER_SECOND), toc_ns)
     toe_week = toe_ns // NS_PER_WEEK
     first_beidou_week = GNSS_TIME_SCALES["C"].first_gps_week
     expected = (toe_week, toe_week - first_beidou_week) if system == "C" else (toe_week,)
@@ -143,15 +143,11 @@ def _toe_ns(system: str, toe_s: float, toc_ns: int, week: float) -> int:
     return toe_ns
 
 
-def _nearest_ns(of_week_ns: int, near_ns: int) -> int:
-    return near_ns + (of_week_ns - near_ns + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
-
-
-def _transmission_ns(transmission_s: float, toe_ns: int, offset_ns: int) -> int:
+def _transmission_ns(system: str, transmission_s: float, toe_ns: int) -> int:
     """Return the time nearest to toe: not all writers count from the week of toe. Unknown: toe, its upper bound."""
     if not abs(transmission_s) < 2 * NS_PER_WEEK / NS_PER_SECOND:
         return toe_ns
-    return _nearest_ns(round(transmission_s * NS_PER_SECOND), toe_ns - offset_ns) + offset_ns
+    return gps_ns_near(system, round(transmission_s * NS_PER_SECOND), toe_ns)
 
 
 def _fit_interval_h(system: str, value: float) -> float:

@@ -10,6 +10,7 @@ from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_n
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from support.gnss_files import observation_text
+from support.random_observations import random_ephemeris
 from support.simple_rinex import epochs_of, header_of
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 23, 59, 59, 900_000_000))
@@ -89,30 +90,12 @@ def test_empty_file_and_repeated_signal_are_refused():
 
 
 def ephemeris(name: str, **other: float) -> Ephemeris:
-    rng = np.random.default_rng(satellite_number(name))
-    angles = rng.uniform(-3.0, 3.0, 4)
-    harmonics = rng.normal(size=4)
-    return Ephemeris(
-        satellite=satellite_number(name),
-        toe_ns=BEGIN_NS // (3600 * NS_PER_SECOND) * 3600 * NS_PER_SECOND,
+    toe_ns = BEGIN_NS // (3600 * NS_PER_SECOND) * 3600 * NS_PER_SECOND
+    return replace(
+        random_ephemeris(np.random.default_rng(satellite_number(name)), name, toe_ns),
         toc_ns=BEGIN_NS // NS_PER_SECOND * NS_PER_SECOND,
         transmission_ns=BEGIN_NS - 600 * NS_PER_SECOND,
         iode=77,
-        clock=(1.234567890123e-4, -3e-12, 0.0),
-        sqrt_a=5153.7123456789,
-        eccentricity=0.0123,
-        inclination_rad=0.96,
-        inclination_rate_rad_s=1e-10,
-        ascending_node_rad=float(angles[0]),
-        ascending_node_rate_rad_s=-8e-9,
-        perigee_rad=float(angles[1]),
-        mean_anomaly_rad=float(angles[2]),
-        mean_motion_difference_rad_s=4e-9,
-        **dict(
-            zip(("cuc", "cus", "cic", "cis"), (harmonics * (1e-6, 1e-6, 1e-7, 1e-7)).tolist(), strict=True)
-        ),
-        crc_m=211.5,
-        crs_m=-40.25,
         accuracy_m=2.0,
         health=0,
         other=other,

@@ -18,6 +18,7 @@ from camber.formats.observations import (
     signal_number,
 )
 from camber.formats.receiver.phase_alignment import PhaseAlignment
+from camber.formats.rtcm.msm_reader import minimum_lock_s
 from camber.formats.rtcm.msm_signals import MSM_SIGNALS
 from camber.formats.rtcm.msm_writer import lock_indicator
 from camber.formats.rtcm.writer import format_observations
@@ -60,9 +61,11 @@ def test_lock_indicator_is_the_greatest_with_minimum_below_the_lock_time(lock_s)
     assert indicator == 704 or minimum_lock_ms(indicator + 1) > lock_s * 1e3
 
 
-def test_minimum_lock_time_of_each_indicator_gives_the_indicator():
+def test_minimum_lock_times_of_reader_and_writer_are_those_of_the_standard():
     minimum = np.array([minimum_lock_ms(i) for i in range(705)])
     assert lock_indicator(minimum * 1e-3).tolist() == list(range(705))
+    np.testing.assert_allclose(minimum_lock_s()[10][:705], minimum * 1e-3, rtol=1e-15)
+    assert lock_indicator(minimum_lock_s()[10][:705]).tolist() == list(range(705))
 
 
 def read_with_pyrtcm(frames):
