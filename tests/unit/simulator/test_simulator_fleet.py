@@ -26,14 +26,8 @@ from support.simulated_paths import path_over
 from support.small_map import FRAME, surface, surfaces
 
 START_NS = 1_400_000_000 * 1_000_000_000
-NONE = FleetErrors(
-    vehicle_m=0.0,
-    drive_m=0.0,
-    correlated_m=0.0,
-    white_m=0.0,
-    sideways_m=0.0,
-    wrong_episodes_per_s=0.0,
-)
+ERRORS = ("vehicle_m", "drive_m", "correlated_m", "white_m", "sideways_m", "wrong_episodes_per_s")
+NONE = FleetErrors(**dict.fromkeys(ERRORS, 0.0))
 HONEST = FleetVehicle(name="car00000", bias_m=0.0, attack_m=0.0)
 
 

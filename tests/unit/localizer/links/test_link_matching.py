@@ -13,13 +13,13 @@ from support.plain_links import line_through
 
 
 def a_link(link_id, nodes, *vertices, **more):
-    return RoadLink(
-        link_id=link_id,
-        start_node=nodes[0],
-        end_node=nodes[1],
-        vertices_m=np.array(vertices, dtype=float),
-        **more,
-    )
+    start, end = nodes
+    vertices_m = np.array(vertices, dtype=float)
+    return RoadLink(link_id=link_id, start_node=start, end_node=end, vertices_m=vertices_m, **more)
+
+
+def network_of(*links):
+    return LinkNetwork(links)
 
 
 ROAD = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
@@ -68,9 +68,7 @@ def test_a_vehicle_on_the_overpass_stays_on_its_level():
 
 def test_a_turn_at_a_junction_is_followed():
     matches = drive(LinkMatcher(LinkNetwork(CROSS)), [(-150, 0), (0, 0), (0, 150)])
-    assert matches[-1].status == "matched"
-    assert matches[-1].link_id == "north"
-    assert matches[-1].line is not None
+    assert (matches[-1].status, matches[-1].link_id) == ("matched", "north")
     assert matches[-1].line.alpha_rad == pytest.approx(math.pi / 2)
 
 
@@ -88,30 +86,22 @@ def test_one_road_above_another_is_ambiguous_with_its_candidates():
 
 
 def test_a_vehicle_that_came_up_the_ramp_is_on_the_upper_level():
-    network = LinkNetwork(
-        [
-            a_link("approach", ("a", "f"), (-300, 0), (0, 0)),
-            a_link("ground", ("f", "g"), (0, 0), (60, 0), (1000, 0)),
-            a_link("ramp", ("f", "r"), (0, 0), (60, 25), (150, 40), level=0),
-            a_link("viaduct", ("r", "v"), (150, 40), (220, 2), (1000, 2), level=1),
-        ]
+    network = network_of(
+        a_link("approach", ("a", "f"), (-300, 0), (0, 0)),
+        a_link("ground", ("f", "g"), (0, 0), (60, 0), (1000, 0)),
+        a_link("ramp", ("f", "r"), (0, 0), (60, 25), (150, 40), level=0),
+        a_link("viaduct", ("r", "v"), (150, 40), (220, 2), (1000, 2), level=1),
     )
     matches = drive(LinkMatcher(network), [(-200, 0), (0, 0), (60, 25), (150, 40), (220, 2), (900, 2)])
-    assert matches[-1].status == "matched"
-    assert matches[-1].link_id == "viaduct"
-    assert matches[-1].level == 1
+    assert (matches[-1].status, matches[-1].link_id, matches[-1].level) == ("matched", "viaduct", 1)
     below = drive(LinkMatcher(network), [(-200, 0), (0, 0), (900, 0)])
-    assert below[-1].status == "matched"
-    assert below[-1].link_id == "ground"
-    assert below[-1].level == 0
+    assert (below[-1].status, below[-1].link_id, below[-1].level) == ("matched", "ground", 0)
 
 
 def test_parallel_roads_beyond_the_uncertainty_are_distinguished():
-    network = LinkNetwork(
-        [
-            a_link("here", ("a", "b"), (0, 0), (500, 0), sigma_m=1.0),
-            a_link("there", ("c", "d"), (0, 40), (500, 40), sigma_m=1.0),
-        ]
+    network = network_of(
+        a_link("here", ("a", "b"), (0, 0), (500, 0), sigma_m=1.0),
+        a_link("there", ("c", "d"), (0, 40), (500, 40), sigma_m=1.0),
     )
     assert drive(LinkMatcher(network), [(50, 1), (300, 1)])[-1].status == "matched"
     lost = drive(LinkMatcher(network), [(50, 20), (300, 20)], covariance(15.0))
@@ -119,12 +109,10 @@ def test_parallel_roads_beyond_the_uncertainty_are_distinguished():
 
 
 def test_a_fork_is_ambiguous_until_the_branches_part():
-    network = LinkNetwork(
-        [
-            a_link("stem", ("a", "f"), (-200, 0), (0, 0)),
-            a_link("left", ("f", "l"), (0, 0), (300, 60), level=1),
-            a_link("right", ("f", "r"), (0, 0), (300, -60)),
-        ]
+    network = network_of(
+        a_link("stem", ("a", "f"), (-200, 0), (0, 0)),
+        a_link("left", ("f", "l"), (0, 0), (300, 60), level=1),
+        a_link("right", ("f", "r"), (0, 0), (300, -60)),
     )
     matches = drive(LinkMatcher(network), [(-150, 0), (0, 0), (290, 58)])
     shortly_after = matches[33]
@@ -175,11 +163,9 @@ def test_standing_still_adds_no_evidence():
 
 
 def test_sharp_vertices_and_dead_ends_are_reported_by_their_distance():
-    network = LinkNetwork(
-        [
-            a_link("bent", ("a", "b"), (0, 0), (100, 0), (100, 100)),
-            a_link("on", ("b", "c"), (100, 100), (100, 300)),
-        ]
+    network = network_of(
+        a_link("bent", ("a", "b"), (0, 0), (100, 0), (100, 100)),
+        a_link("on", ("b", "c"), (100, 100), (100, 300)),
     )
     assert network.to_sharp_m(0, 70.0) == pytest.approx(30.0)
     assert network.to_sharp_m(0, 190.0) == pytest.approx(90.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,27 +25,24 @@ LINKS = [
 ]
 ALL = (3, 1, 2)
 RAMP = 3
+AGES = ("speed_age_s", "rotation_age_s", "match_age_s")
+ZERO: dict[str, Any] = dict.fromkeys(
+    ("east_m", "north_m", "yaw_rad", "yaw_rate_rad_s", "link_offset_m", *AGES), 0.0
+)
 ON = PoseEstimate(
     time_ns=NS,
     mode="scan_match",
     provenance="scan_match",
-    east_m=0.0,
-    north_m=0.0,
-    yaw_rad=0.0,
     yaw_known=True,
     covariance=np.diag([0.05**2, 0.05**2, 0.01**2]),
     speed_m_s=10.0,
-    yaw_rate_rad_s=0.0,
     standing=False,
-    speed_age_s=0.0,
-    rotation_age_s=0.0,
     anchor_age_s=None,
-    match_age_s=0.0,
     link_status="ambiguous",
     link_id=1,
     link_level=None,
     link_candidates=ALL,
-    link_offset_m=0.0,
+    **ZERO,
 )
 
 
