@@ -20,6 +20,7 @@ from camber.schemas.base import Message
 from camber.sensors.service import SensorsService
 from camber.sensors.settings import SensorsSettings
 from camber.simulator.output.can_frames import DBC
+from support.fake_bus import FakeBus
 
 S = 1_000_000_000
 START_NS = 1_400_000_000 * S
@@ -32,24 +33,13 @@ SIGNALS = {
 LIDAR = {"source": "udp:127.0.0.1:1", "model": "HDL-32E", "stamps": "utc_hour"}
 
 
-class FakeBus:
+class PublishingBus(FakeBus):
     def __init__(self) -> None:
-        self.time_ns = START_NS
+        super().__init__(START_NS)
         self.given: list[tuple[str, Message]] = []
-        self.issues: list[tuple[str, str]] = []
-        self.counters: Counter[str] = Counter()
-
-    def now_ns(self) -> int:
-        return self.time_ns
 
     def publish(self, name: str, message: Message) -> None:
         self.given.append((name, message))
-
-    def issue(self, code: str, text: str) -> None:
-        self.issues.append((code, text))
-
-    def count(self, name: str, n: int = 1) -> None:
-        self.counters[name] += n
 
 
 class Time:
@@ -57,7 +47,7 @@ class Time:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.passed_s = 0.0
-        self.bus = FakeBus()
+        self.bus = PublishingBus()
         self.services: list[SensorsService] = []
         monkeypatch.setattr(
             camber.sensors.service, "time", SimpleNamespace(monotonic=lambda: self.passed_s), raising=False

@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import ExitStack, closing
+from unittest.mock import Mock
 
 import pytest
 
@@ -153,11 +154,8 @@ def test_a_disk_that_fails_for_a_while_loses_nothing(path, make, monkeypatch):
 
 
 def test_one_that_still_fails_at_the_end_is_reported(make, monkeypatch):
-    def full(uploads):
-        raise OutboxError("no room left")
-
     uploader = make()
-    monkeypatch.setattr(uploader.outbox, "put_many", full)
+    monkeypatch.setattr(uploader.outbox, "put_many", Mock(side_effect=OutboxError("no room left")))
     uploader.put("u1", "upload", message(1))
     uploader.close()
     assert ("upload_lost", "1 uploads: no room left") in uploader.problems()
