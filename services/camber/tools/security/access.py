@@ -127,14 +127,8 @@ def _vehicle(args: argparse.Namespace) -> int:
     for endpoint in args.listen or ():
         if endpoint.partition("/")[0] not in INSIDE:  # the rules treat TLS as the link to the cloud
             raise ValueError(f"--listen {endpoint}: expected {' or '.join(f'{name}/…' for name in INSIDE)}")
-    config = vehicle_config(
-        args.name,
-        connect=args.connect,
-        listen=args.listen or [LISTEN_VEHICLE],
-        kinds=args.to,
-        folder=args.tls,
-        certificate_name=args.name,
-    )
+    listen = args.listen or [LISTEN_VEHICLE]
+    config = vehicle_config(args.name, connect=args.connect, listen=listen, kinds=args.to, folder=args.tls)
     about = f"Router of vehicle {args.name}: everything inside; one restricted link to the cloud."
     _write(args.out, text_of(config, about=about, made_by=args.made_by))
     return 0

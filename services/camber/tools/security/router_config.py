@@ -20,6 +20,7 @@ _COMMON: dict[str, Any] = {
     # No admin keys (@/…) through which the router could be inspected or reconfigured from the bus.
     "adminspace": {"enabled": False},
 }
+_CONNECTING = {"timeout_ms": -1, "exit_on_failure": False}
 _VEHICLE_SESSIONS = 128
 """Chosen: a vehicle runs some ten processes; leaves room for tools."""
 _CLOUD_SESSIONS = 10_000
@@ -33,7 +34,7 @@ def cloud_config(
     *,
     routers: Sequence[str],
     listen: Sequence[str],
-    connect: Sequence[str] = (),
+    connect: Sequence[str],
     folder: Path,
     certificate_name: str,
 ) -> dict[str, Any]:
@@ -41,12 +42,13 @@ def cloud_config(
 
     `connect`: endpoints of other cloud routers. `folder` holds ca.pem and the pair `certificate_name`.pem, .key.
     """
+    rx = {"max_message_size": _LARGEST_MESSAGE_BYTES}
     return {
         "mode": "router",
         **_COMMON,
         "listen": {"endpoints": list(listen)},
-        "connect": {"endpoints": list(connect), "timeout_ms": -1, "exit_on_failure": False},
-        "transport": _transport(folder, certificate_name, sessions=_CLOUD_SESSIONS, limit_message_size=True),
+        "connect": {"endpoints": list(connect), **_CONNECTING},
+        "transport": _transport(folder, certificate_name, _CLOUD_SESSIONS, rx=rx),
         "access_control": cloud_access_control(parties, routers),
     }
 
@@ -58,27 +60,21 @@ def vehicle_config(
     listen: Sequence[str],
     kinds: Iterable[Kind],
     folder: Path,
-    certificate_name: str,
 ) -> dict[str, Any]:
     """Return the configuration of a vehicle's router: services join it as clients, it joins the cloud as a client.
 
-    As a client it has one uplink and falls back to the next endpoint where one does not answer. Services must not join
-    as peers: they would receive from clients, but not from one another.
+    `folder` holds ca.pem and the pair `vehicle`.pem, .key. As a client it has one uplink and falls back to the next
+    endpoint where one does not answer. Services must not join as peers: they would receive from clients, but not from
+    one another.
     """
+    retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     return {
         "mode": "client",
         **_COMMON,
         "listen": {"endpoints": list(listen)},
-        "connect": {
-            "endpoints": list(connect),
-            "timeout_ms": -1,
-            "exit_on_failure": False,
-            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
-        },
+        "connect": {"endpoints": list(connect), **_CONNECTING, "retry": retry},
         "gateway": {"south": [{"filters": [{"modes": ["client", "peer"]}]}]},
-        "transport": _transport(
-            folder, certificate_name, sessions=_VEHICLE_SESSIONS, limit_message_size=False
-        ),
+        "transport": _transport(folder, vehicle, _VEHICLE_SESSIONS),
         "access_control": vehicle_access_control(vehicle, kinds),
     }
 
@@ -94,19 +90,10 @@ def _on_one_line(match: re.Match[str]) -> str:
     return line if len(line) <= _LINE_CHARACTERS else match[0]
 
 
-def _transport(
-    folder: Path, certificate_name: str, *, sessions: int, limit_message_size: bool
-) -> dict[str, Any]:
-    link: dict[str, Any] = {
-        "tx": {"lease": 2000},
-        "tls": tls_table(
-            folder / "ca.pem", folder / f"{certificate_name}.pem", folder / f"{certificate_name}.key"
-        ),
-    }
-    if limit_message_size:
-        link["rx"] = {"max_message_size": _LARGEST_MESSAGE_BYTES}
+def _transport(folder: Path, name: str, sessions: int, **more: dict[str, int]) -> dict[str, Any]:
+    tls = tls_table(folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
     return {
         "unicast": {"max_sessions": sessions, "accept_pending": 64},
         "shared_memory": {"enabled": False},
-        "link": link,
+        "link": {"tx": {"lease": 2000}, "tls": tls, **more},
     }

@@ -9,50 +9,20 @@ import pytest
 from matplotlib.image import imread
 
 from camber.cli import main
-from camber.geodesy.local_frame import LocalFrame
-from camber.road_map.release import read_release, write_release
-from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.release import read_release
 from camber.tools.maps.picture import picture
-
-FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
-NOW_NS = 1_400_000_000 * 10**9
+from support.refusals import Refused
+from support.small_map import link, surface, write
 
 
 @pytest.fixture(scope="module")
 def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A road to the east of 10 to 20 m, and a bridge over its middle at 30 m; both 8 m wide and 40 m long."""
     folder = tmp_path_factory.mktemp("release")
-    place = np.degrees([FRAME.latitude_rad, FRAME.longitude_rad])
-    latitude, longitude = np.radians(np.tile(place, (2, 1)).T)
-    surfaces = RoadSurfaces(
-        surface_id=np.array([1, 2]),
-        link_id=np.array([1, 1]),
-        level=np.array([0, 1]),
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        yaw_rad=np.array([0.0, 0.5 * math.pi]),
-        half_length_m=np.array([20.0, 20.0]),
-        half_width_m=np.array([4.0, 4.0]),
-        sigma_m=np.array([0.03, 0.03]),
-        vehicles=np.array([0, 0]),
-        last_seen_ns=np.array([NOW_NS, NOW_NS]),
-        heights_m=[np.array([[10.0, 10.0], [20.0, 20.0]]), np.full((2, 2), 30.0)],
-    )
-    line = np.column_stack(
-        FRAME.geodetic_from_east_north_array(np.array([[-20.0, -2.0], [20.0, -2.0]]), 0.0)[:2]
-    )
-    links = RoadLinks(
-        link_id=np.array([1]),
-        start_node=np.array([1]),
-        end_node=np.array([2]),
-        level=np.array([0]),
-        sigma_m=np.array([0.5]),
-        vertices=[line],
-    )
-    write_release(
-        folder, region="t", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
-        surfaces=surfaces, links=links,
-    )  # fmt: skip
+    size = {"half_length_m": 20.0, "half_width_m": 4.0}
+    road = surface(1, heights_m=[[10.0, 10.0], [20.0, 20.0]], **size)
+    bridge = surface(2, level=1, yaw_rad=0.5 * math.pi, heights_m=30.0, **size)
+    write(folder, [road, bridge], [link(1, (1, 2), [(-20.0, -2.0), (20.0, -2.0)])])
     return folder
 
 
@@ -81,7 +51,7 @@ def test_the_road_rises_from_blue_to_yellow_and_the_bridge_lies_over_it(release:
 
 
 def test_one_tile_or_the_whole_map_into_a_file_and_a_tile_that_is_not_there_is_refused(
-    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    release: Path, tmp_path: Path, refused: Refused
 ) -> None:
     x, y = read_release(release).tiles("surfaces")[0]
     command = ["map", "picture", str(release), "--out", str(tmp_path / "map.png"), "--pixels", "100"]
@@ -91,8 +61,6 @@ def test_one_tile_or_the_whole_map_into_a_file_and_a_tile_that_is_not_there_is_r
     assert main([*command, "--tile", str(x), str(y)]) == 0
     tile = pixels((tmp_path / "map.png").read_bytes())
     assert 0 < (tile != 255).any(axis=2).mean() < (whole != 255).any(axis=2).mean()
-    assert main([*command, "--tile", "0", "0"]) == 2
-    assert "tiles" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main([*command, "--pixels", "1"])
-    assert "--pixels: '1', expected a whole number from 16 to 20000" in capsys.readouterr().err
+    assert "tiles" in refused(main, *command, "--tile", "0", "0")
+    line = refused(main, *command, "--pixels", "1")
+    assert "--pixels: '1', expected a whole number from 16 to 20000" in line
