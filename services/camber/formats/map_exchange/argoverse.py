@@ -26,7 +26,6 @@ from camber.geodesy.se3 import rigid_motion
 Floats = NDArray[np.float64]
 
 _MAGIC = b"ARROW1\0\0"  # of an Arrow file; what follows can be read as a stream
-_UP_LASERS = 32  # of 64: the first belong to up_lidar
 _POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _SWEEP_COLUMNS = ("x", "y", "z", "laser_number")
 
@@ -69,11 +68,6 @@ class LidarSweep:
     laser: NDArray[np.uint8]
     city_from_egovehicle: Floats
 
-    def of_sensor(self, name: str) -> NDArray[np.bool_]:
-        """Return which points (n,) are of `up_lidar` or `down_lidar`."""
-        mask: NDArray[np.bool_] = (self.laser < _UP_LASERS) == (name == "up_lidar")
-        return mask
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroundRaster:
@@ -102,13 +96,6 @@ class GroundRaster:
         lower = (1.0 - u) * h[row, column] + u * h[row, column + 1]
         upper = (1.0 - u) * h[row + 1, column] + u * h[row + 1, column + 1]
         return np.where(inside, (1.0 - v) * lower + v * upper, np.nan)
-
-    def points_near(self, city_m: Floats, reach_m: float) -> Floats:
-        """Return the centres (n, 3) in city of the known cells within a square around a place."""
-        rows, columns = np.nonzero(np.isfinite(self.height_m))
-        places = self.corner_m + self.cell_m * (np.column_stack((columns, rows)) + 0.5)
-        near = (np.abs(places - city_m[:2]) < reach_m).all(axis=1)
-        return np.column_stack((places[near], self.height_m[rows[near], columns[near]]))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

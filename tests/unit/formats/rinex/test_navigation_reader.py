@@ -101,21 +101,15 @@ def test_rtklib_solution_of_a_rewritten_file_is_the_same(tmp_path, folder, rover
     navigation = read_navigation(original)
     gps = navigation.klobuchar["G"]
     (tmp_path / "again.nav").write_text(navigation_text(navigation.ephemerides, [gps]))
-    (tmp_path / "options.conf").write_text(
-        "pos1-navsys=57\npos1-posmode=kinematic\npos2-armode=instantaneous\nant2-postype=rinexhead\n"
-    )
+    options = "pos1-navsys=57\npos1-posmode=kinematic\npos2-armode=instantaneous\nant2-postype=rinexhead\n"
+    (tmp_path / "options.conf").write_text(options)
     observations = (original.parent / rover, original.parent / base)
     solutions = []
     for which in (original, tmp_path / "again.nav"):
         out = tmp_path / f"{which.stem}.pos"
-        subprocess.run(
-            [RNX2RTKP, "-k", "options.conf", "-ti", "10", "-o", out, *observations, which],
-            cwd=tmp_path,
-            check=True,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=120,
-        )
+        command = [RNX2RTKP, "-k", "options.conf", "-ti", "10", "-o", out, *observations, which]
+        how = {"check": True, "capture_output": True, "stdin": subprocess.DEVNULL, "timeout": 120}
+        subprocess.run(command, cwd=tmp_path, **how)
         solutions.append([line for line in out.read_text().splitlines() if not line.startswith("%")])
     assert len(solutions[0]) > 20
     assert solutions[0] == solutions[1]
@@ -136,14 +130,12 @@ def test_satellite_positions_agree_with_recorded_pseudoranges():
         for row in np.flatnonzero(epoch.satellite >> 8 == ord(system)):
             if epoch.signal[row] != ord(signal[0]) * 256 + ord(signal[1]):
                 continue
-            mine = [
-                e
-                for e in navigation.ephemerides
-                if e.satellite == epoch.satellite[row] and abs(e.toe_ns - epoch.time_ns) < 10_800 * SECOND_NS
-            ]
-            if not mine or np.isnan(epoch.pseudorange_m[row]):
+            mine = [e for e in navigation.ephemerides if e.satellite == epoch.satellite[row]]
+            best = min(mine, key=lambda e: abs(e.toe_ns - epoch.time_ns), default=None)
+            if best is None or abs(best.toe_ns - epoch.time_ns) >= 10_800 * SECOND_NS:
                 continue
-            best = min(mine, key=lambda e: abs(e.toe_ns - epoch.time_ns))
+            if np.isnan(epoch.pseudorange_m[row]):
+                continue
             sent_ns = epoch.time_ns - round(epoch.pseudorange_m[row] / 0.299792458)
             place, clock_s = position_and_clock(best, sent_ns)
             turned = 7.2921151467e-5 * epoch.pseudorange_m[row] / 299792458.0

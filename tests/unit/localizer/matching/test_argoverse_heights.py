@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from camber.formats.map_exchange.argoverse import ArgoverseLog, Floats, LidarSweep, read_log
+from camber.formats.map_exchange.argoverse import ArgoverseLog, Floats, GroundRaster, LidarSweep, read_log
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
 from camber.localizer.map_clouds.map_blocks import MapBlock
@@ -46,6 +47,20 @@ def log() -> ArgoverseLog:
     return log_named("7fab2350")
 
 
+def is_of(name: str, sweep: LidarSweep) -> NDArray[np.bool_]:
+    """Which points (n,) are of a LiDAR: the first 32 of 64 lasers belong to up_lidar."""
+    mask: NDArray[np.bool_] = (sweep.laser < 32) == (name == "up_lidar")
+    return mask
+
+
+def ground_near(ground: GroundRaster, city_m: Floats, reach_m: float) -> Floats:
+    """The centres (n, 3) in city of the known cells within a square around a place."""
+    rows, columns = np.nonzero(np.isfinite(ground.height_m))
+    places = ground.corner_m + ground.cell_m * (np.column_stack((columns, rows)) + 0.5)
+    near = (np.abs(places - city_m[:2]) < reach_m).all(axis=1)
+    return np.column_stack((places[near], ground.height_m[rows[near], columns[near]]))
+
+
 def of_sensor(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> tuple[Floats, SensorMount]:
     """Its points and where it is, in the vehicle frame, whose origin is on the road: thinned, own vehicle left out."""
     motion = log.egovehicle_from_sensor[name]
@@ -54,7 +69,7 @@ def of_sensor(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) ->
     mount = SensorMount(
         x_m=x_m, y_m=y_m, z_m=z_m + axle_m, roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad
     )
-    points_m = sweep.points_m[sweep.of_sensor(name)]
+    points_m = sweep.points_m[is_of(name, sweep)]
     forward, left = points_m[:, 0], points_m[:, 1]
     vehicle = (-OPTIONS.vehicle_rear_m < forward) & (forward < OPTIONS.vehicle_front_m)
     vehicle &= np.abs(left) < OPTIONS.vehicle_half_width_m
@@ -66,7 +81,7 @@ def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> S
     """As the localizer finds them, where the raster is the map's road cloud."""
     place_m = sweep.city_from_egovehicle[:3, 3]
     corner_m = np.floor(place_m)
-    road_m = log.ground.points_near(place_m, 60.0) - corner_m
+    road_m = ground_near(log.ground, place_m, 60.0) - corner_m
     block = MapBlock(
         frame=LocalFrame(0.7, -1.4, 0.0),
         base_height_m=float(corner_m[2]),
@@ -127,7 +142,7 @@ def test_each_laser_keeps_its_elevation_in_the_sensor_that_it_belongs_to(
         across_m = np.hypot(sensor_m[:, 0], sensor_m[:, 1])
         elevation_deg = np.degrees(np.arctan2(sensor_m[:, 2], across_m))
         # Nearer ones show half precision, and what the vehicle drove within the sweep.
-        far = (across_m > 8.0) & sweep.of_sensor(name)
+        far = (across_m > 8.0) & is_of(name, sweep)
         lasers = [elevation_deg[far & (sweep.laser == laser)] for laser in np.unique(sweep.laser[far])]
         return float(np.median([np.std(laser) for laser in lasers if len(laser) > 50]))
 
