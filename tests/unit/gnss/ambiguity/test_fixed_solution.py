@@ -33,14 +33,11 @@ def estimated(rows, usable=None, limits=LIMITS, prior=NO_PRIOR) -> Estimate:
     return estimate(rows, usable, prior, limits)
 
 
-def slow_estimate(rows, used, last=False):
+def slow_estimate(rows, used):
     """Float ambiguities and position by one least squares of code and phase double differences."""
-    design_code, code, covariance_code, pairs = double_differences(
-        rows, rows.code_m, rows.code_variance_m2, used, last
-    )
-    design_phase, phase, covariance_phase, _ = double_differences(
-        rows, rows.phase_m, rows.phase_variance_m2, used, last
-    )
+    of_code, of_phase = (rows.code_m, rows.code_variance_m2), (rows.phase_m, rows.phase_variance_m2)
+    design_code, code, covariance_code, pairs = double_differences(rows, *of_code, used, last=False)
+    design_phase, phase, covariance_phase, _ = double_differences(rows, *of_phase, used, last=False)
     m = len(pairs)
     wavelength = np.diag([rows.wavelength_m[i] for i, _ in pairs])
     design = np.block([[design_code, np.zeros((m, m))], [design_phase, wavelength]])
