@@ -45,15 +45,14 @@ class RawRecording:
     notes: tuple[str, ...]
 
 
-def load_raw(observations: RawObservations, *, near_ns: int | None = None) -> RawRecording:
+def load_raw(observations: RawObservations) -> RawRecording:
     """Reads all files of a drive's table of raw observations.
 
-    The base is where the table says, else where its messages 1005 or 1006 do, else where its RINEX header does.
-    `near_ns` (GPS time) is within half a week of the drive, for RTCM, which does not say its week; the drive's other
-    files say it too. Raises FormatError for a file that cannot be read or lacks what it is for, OSError where one
-    cannot be opened.
+    The base is where the table says, else where its messages 1005 or 1006 do, else where its RINEX header does. The
+    week of RTCM, which does not say it, is that of the drive's other files. Raises FormatError for a file that cannot
+    be read or lacks what it is for, OSError where one cannot be opened.
     """
-    files = []
+    files, near_ns = list[_File](), None
     for path in observations.ephemerides:
         files.append(_read(path, near_ns))
         near_ns = near_ns or files[-1].first_ns
@@ -65,14 +64,13 @@ def load_raw(observations: RawObservations, *, near_ns: int | None = None) -> Ra
     rover_epochs = _observed(rover, receiver_first=True, notes=notes)
     base_epochs = _observed(base, receiver_first=False, notes=notes)
     position, position_from = _base_position(observations.base_ecef_m, base, notes)
-    ionosphere = next((file.ionosphere for file in files if file.ionosphere is not None), None)
     return RawRecording(
         rover=rover_epochs,
         base=base_epochs,
         ephemerides=[ephemeris for file in files for ephemeris in file.ephemerides],
         base_ecef_m=position,
         base_position_from=position_from,
-        ionosphere=ionosphere,
+        ionosphere=next((file.ionosphere for file in files if file.ionosphere is not None), None),
         notes=tuple(notes),
     )
 
