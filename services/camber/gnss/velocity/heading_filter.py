@@ -23,7 +23,8 @@ Gate = Literal[
     "accepted", "wheel_speed", "speeds_differ", "hdop", "imprecise", "outlier", "not_finite", "too_old"
 ]
 """Outcome for a velocity: the three gates of Kikuchi (TUMSAT); `imprecise`: too slow for its σ; `outlier`: contradicts
-a known heading; `too_old`: after a newer input."""
+a known heading, or faster than `GREATEST_SPEED_M_S`; `too_old`: after a newer input."""
+GREATEST_SPEED_M_S = 515.0  # civil receivers state no velocity above 1,000 knots (COCOM limit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +107,8 @@ class HeadingFilter:
         if not self._advance(time_ns):
             return "too_old"
         speed = math.hypot(east_m_s, north_m_s)
+        if speed > GREATEST_SPEED_M_S:
+            return "outlier"
         if not abs(wheel_speed_m_s) > o.least_wheel_speed_m_s:
             return "wheel_speed"
         if not (abs(speed - abs(wheel_speed_m_s)) < o.greatest_speed_difference_m_s and speed > 0.0):

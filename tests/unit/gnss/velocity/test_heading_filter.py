@@ -236,6 +236,12 @@ def test_what_is_older_changes_nothing_and_a_clock_that_jumps_back_starts_anew()
     assert known(filter_, 0.1).heading_rad == pytest.approx(2.0)
 
 
+def test_a_speed_that_no_receiver_states_is_an_outlier():
+    filter_ = HeadingFilter()
+    assert filter_.add_velocity(BEGIN_NS, plane(1.34e154, 0.0, (0.0, 0.0, 0.0)), 1.34e154) == "outlier"
+    assert filter_.at(BEGIN_NS) is None
+
+
 @settings(derandomize=True, max_examples=200)
 @given(
     st.lists(
