@@ -78,11 +78,11 @@ compile-simulator: setup
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 		$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out "$$folder/city" --quiet
 
-# Tests of processes wait most of the time, so four run at once; others two at once. What compares with the clock (the
+# Tests of processes wait most of the time, so five run at once; others two at once. What compares with the clock (the
 # marker `timed`) comes last, three files at once: each uses a quarter of a processor. The judge's pure modules must be
 # covered whole by their own tests.
 define TESTS
-$(BIN)/python -m pytest -n 4 --dist loadfile -m 'not timed' tests/integration tests/container
+$(BIN)/python -m pytest -n 5 --dist loadfile -m 'not timed' tests/integration tests/container
 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' --ignore tests/unit/integrity \
 	tests/replay tests/architecture tests/contract tests/fuzz tests/unit
 $(BIN)/python -m pytest -n 2 --dist load tests/unit/integrity --cov
