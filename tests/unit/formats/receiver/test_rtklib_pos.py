@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -230,7 +231,9 @@ def test_last_line_without_newline_is_an_error() -> None:
 
 
 coordinates = st.floats(-math.pi / 2, math.pi / 2)
-deviations = st.floats(1e-4, 50.0)
+# From a hundred printed digits on: rounding leaves a covariance of these correlations (below 0.9) positive definite.
+deviations = st.floats(0.01, 50.0)
+small_deviations = st.floats(1e-4, 50.0)
 # Correlations of a product of rotations are always those of a covariance.
 factors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
 
@@ -295,8 +298,20 @@ def assert_close_covariance(
         return
     largest = math.sqrt(max(original))
     for a, b in zip(again, original, strict=True):
-        # d(s²) = 2 s ds; the correlations may in addition have been shrunk by as much.
-        assert a == pytest.approx(b, abs=20.0 * largest * last_digit)
+        assert a == pytest.approx(b, abs=20.0 * largest * last_digit)  # d(s²) = 2 s ds
+
+
+@given(st.builds(covariance_from, st.tuples(*[small_deviations] * 3), factors))
+@example((1.5, 1.0, -7.5e-05, 3.5, -0.0002, 1.875e-08))
+def test_a_covariance_near_the_last_digit_stays_one_with_the_same_variances(covariance) -> None:
+    solution = replace(SOMEWHERE, covariance_enu_m2=covariance)
+    (again,) = decode(format_pos_header() + format_pos_line(solution))
+    assert isinstance(again, ReceiverSolution), str(again)
+    ee, en, eu, nn, nu, uu = again.covariance_enu_m2
+    for index, variance in ((0, ee), (3, nn), (5, uu)):
+        assert math.sqrt(variance) == pytest.approx(math.sqrt(covariance[index]), abs=1e-4)
+    eigenvalues = np.linalg.eigvalsh([[ee, en, eu], [en, nn, nu], [eu, nu, uu]])
+    assert eigenvalues.min() >= -1e-12 * eigenvalues.max()
 
 
 SOMEWHERE = ReceiverSolution(
