@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_exchange.pcd import cloud_from_pcd
-from camber.formats.map_exchange.pcd_header import read_header
+from camber.formats.map_exchange.pcd import cloud_from_pcd, read_header
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.localizer.matching.registration import LayerBounds, LayerTarget
 from camber.localizer.matching.road_plane_fit import fit_road

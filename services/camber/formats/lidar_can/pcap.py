@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Generator
 from dataclasses import dataclass
 
 from camber.formats.errors import FormatError
@@ -55,13 +56,15 @@ class PcapDecoder:
         self.skipped: Counter[str] = Counter()
         self._name = source_name
         self._bytes = bytearray()
-        self._at = 0
-        self._kind = ""
+        self._place = 0  # of the bytes that wait, in the file
+        self._at = 0  # begin of the header, block or frame that is being read
         self._order = "<"
         self._interfaces: list[_Interface] = []
         self._fragments: dict[tuple[bytes, bytes, int], _Fragments] = {}
         self._broken = False
         self._results: list[Datagram | FormatError] = []
+        self._reader = self._read()
+        self._wanted = next(self._reader)
 
     def feed(self, data: bytes) -> list[Datagram | FormatError]:
         """Return the datagrams that these bytes complete."""
@@ -69,8 +72,11 @@ class PcapDecoder:
             return []
         self._bytes += data
         try:
-            while self._step():
-                pass
+            while len(self._bytes) >= self._wanted:
+                taken = bytes(self._bytes[: self._wanted])
+                del self._bytes[: self._wanted]
+                self._place += self._wanted
+                self._wanted = self._reader.send(taken)
         except FormatError as error:
             self._broken = True
             self._bytes.clear()
@@ -83,75 +89,57 @@ class PcapDecoder:
         if self._fragments:
             self.skipped["fragment"] += len(self._fragments)
             self._fragments.clear()
-        return [] if self._broken or not self._bytes else [self._error("end", "a whole frame")]
+        whole = self._place == self._at and not self._bytes
+        return [] if self._broken or whole else [self._error("end", "a whole frame")]
 
     def _error(self, field: str, expected: str, actual: object = None) -> FormatError:
         text = None if actual is None else str(actual)
         return FormatError(self._name, field, expected, actual=text, byte_offset=self._at)
 
-    def _step(self) -> bool:
-        """Read one header, block or frame; False where its end has not arrived."""
-        if not self._kind:
-            return self._begin()
-        return self._block() if self._kind == "pcapng" else self._classic_frame()
-
-    def _begin(self) -> bool:
-        if len(self._bytes) < 4:
-            return False
-        magic = bytes(self._bytes[:4])
+    def _read(self) -> Generator[int, bytes, None]:
+        """Yield how many bytes are needed next, and receive them."""
+        magic = yield 4
         if magic == _SECTION:
-            self._kind = "pcapng"
-            return True
+            yield from self._read_pcapng(magic)
         order = ">" if magic in _CLASSIC else "<"
         tick_ns = _CLASSIC.get(magic if order == ">" else magic[::-1])
         if tick_ns is None:
             raise self._error("magic number", "that of pcap or pcapng", magic.hex())
-        if len(self._bytes) < 24:
-            return False
-        self._kind, self._order = "pcap", order
-        link = struct.unpack_from(f"{order}I", self._taken(24), 20)[0] & 0xFFFF
+        link = struct.unpack(f"{order}I", (yield 20)[16:])[0] & 0xFFFF
+        self._at = self._place
         self._add_interface(_Interface(link=link, ticks_per_s=NS_PER_SECOND // tick_ns))
-        return True
-
-    def _classic_frame(self) -> bool:
-        if len(self._bytes) < 16:
-            return False
-        seconds, fraction, length, original_length = struct.unpack_from(f"{self._order}4I", self._bytes)
-        self._check(length)
-        if len(self._bytes) < 16 + length:
-            return False
         interface = self._interfaces[0]
-        ticks = seconds * interface.ticks_per_s + fraction
-        self._frame(interface, ticks, self._taken(16 + length)[16:], original_length)
-        return True
+        while True:
+            self._at = self._place
+            seconds, fraction, length, original_length = struct.unpack(f"{order}4I", (yield 16))
+            self._check(length)
+            ticks = seconds * interface.ticks_per_s + fraction
+            self._frame(interface, ticks, (yield length), original_length)
+
+    def _read_pcapng(self, first: bytes) -> Generator[int, bytes, None]:
+        while True:
+            head = first + (yield 12 - len(first))
+            if head[:4] == _SECTION:
+                order = {b"\x1a\x2b\x3c\x4d": ">", b"\x4d\x3c\x2b\x1a": "<"}.get(head[8:])
+                if order is None:
+                    raise self._error("byte order", "that of pcapng")
+                self._order, self._interfaces = order, []
+            kind, length = struct.unpack_from(f"{self._order}2I", head)
+            self._check(length)
+            if length < 12 or length % 4:
+                raise self._error("block length", "a multiple of 4, 12 or more", length)
+            body = (head[8:] + (yield length - 12))[:-4]
+            self._at, first = self._place, b""
+            if kind == 1 and len(body) >= 8:
+                self._interface_description(body)
+            elif kind == 6 and len(body) >= 20:
+                self._enhanced_packet(body)
 
     def _add_interface(self, interface: _Interface) -> None:
         if interface.link not in _LINKS:
-            raise self._error(
-                "link type", "Ethernet (1), raw IP (101) or Linux cooked (113, 276)", interface.link
-            )
+            expected = "Ethernet (1), raw IP (101) or Linux cooked (113, 276)"
+            raise self._error("link type", expected, interface.link)
         self._interfaces.append(interface)
-
-    def _block(self) -> bool:
-        if len(self._bytes) < 12:
-            return False
-        if self._bytes[:4] == _SECTION:
-            order = {b"\x1a\x2b\x3c\x4d": ">", b"\x4d\x3c\x2b\x1a": "<"}.get(bytes(self._bytes[8:12]))
-            if order is None:
-                raise self._error("byte order", "that of pcapng")
-            self._order, self._interfaces = order, []
-        kind, length = struct.unpack_from(f"{self._order}2I", self._bytes)
-        self._check(length)
-        if length < 12 or length % 4:
-            raise self._error("block length", "a multiple of 4, 12 or more", length)
-        if len(self._bytes) < length:
-            return False
-        body = self._taken(length)[8:-4]
-        if kind == 1 and len(body) >= 8:
-            self._interface_description(body)
-        elif kind == 6 and len(body) >= 20:
-            self._enhanced_packet(body)
-        return True
 
     def _interface_description(self, body: bytes) -> None:
         ticks_per_s, offset_s, at = 1_000_000, 0, 8
@@ -179,12 +167,6 @@ class PcapDecoder:
         if length > MOST_BYTES:
             raise self._error("frame length", f"{MOST_BYTES} bytes at most", length)
 
-    def _taken(self, length: int) -> bytes:
-        taken = bytes(self._bytes[:length])
-        del self._bytes[:length]
-        self._at += length
-        return taken
-
     def _frame(self, interface: _Interface, ticks: int, frame: bytes, original_length: int) -> None:
         if len(frame) < original_length:  # cut by a snap length
             self.skipped["truncated"] += 1
@@ -201,12 +183,12 @@ class PcapDecoder:
         if header < 20 or not header < total <= len(packet):
             self.skipped["truncated"] += 1
             return None
-        payload: bytes | None = packet[header:total]
+        payload = packet[header:total]
         if int.from_bytes(packet[6:8], "big") & 0x3FFF:  # more fragments follow, or not the first one
-            payload = self._reassembled(time_ns, packet, packet[header:total])
-            if payload is None:
+            whole = self._reassembled(time_ns, packet, payload)
+            if whole is None:
                 return None
-        assert payload is not None
+            payload = whole
         if len(payload) < 8 or int.from_bytes(payload[4:6], "big") != len(payload):
             self.skipped["truncated"] += 1
             return None
@@ -217,9 +199,8 @@ class PcapDecoder:
         position = int.from_bytes(packet[6:8], "big")
         key = (packet[12:16], packet[16:20], int.from_bytes(packet[4:6], "big"))
         fragments = self._fragments.setdefault(key, _Fragments(time_ns))
-        if (
-            abs(time_ns - fragments.time_ns) > _REASSEMBLY_NS
-        ):  # of an earlier datagram with this identification
+        if abs(time_ns - fragments.time_ns) > _REASSEMBLY_NS:
+            # Of an earlier datagram with this identification.
             self.skipped["fragment"] += 1
             fragments = self._fragments[key] = _Fragments(time_ns)
         whole = fragments.add(8 * (position & 0x1FFF), part, more=bool(position & 0x2000))

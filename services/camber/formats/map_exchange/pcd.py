@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,21 @@ from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.lzf import LzfError, lzf_decompressed
-from camber.formats.map_exchange.pcd_header import USED, PcdHeader, read_header
 from camber.schemas.base import EARLIEST_NS, LATEST_NS, Float32, Int32
 from camber.schemas.lidar import Sweep
 
 _Array = NDArray[Any]
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_TYPES = {f"{kind}{size}": f"<{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {
+    "F4": "<f4",
+    "F8": "<f8",
+}
+# Chosen: bounds that no real cloud reaches, so that a damaged header is refused before it fills the memory.
+_MAX_HEADER_BYTES = 65_536
+_MAX_POINTS = 200_000_000
+_MAX_COUNT = 65_536
+_USED = ("x", "y", "z", "intensity", "t")
+"""The fields that are read; each has one number per point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -109,11 +120,10 @@ def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
     """Parse a file's bytes. Raises FormatError."""
     header = read_header(data, source_name)
     columns = _READERS[header.data](data, header, source_name)
-    points = np.empty((header.points, 3), np.float32)
-    for axis, name in enumerate("xyz"):
-        points[:, axis] = _narrowed(columns[header.names.index(name)], np.float32)
-    intensity = _column(columns, header, "intensity", np.float32)
-    offset = _column(columns, header, "t", np.int32, source_name=source_name)
+    with np.errstate(over="ignore"):
+        floats = {name: columns[name].astype(np.float32) for name in _USED[:4] if name in columns}
+    points, intensity = np.column_stack([floats[axis] for axis in "xyz"]), floats.get("intensity")
+    offset = _integers(columns["t"], source_name) if "t" in columns else None
     if np.isfinite(points).all():
         return PointCloud(points_m=points, intensity=intensity, offset_ns=offset)
     if np.isinf(points).any():
@@ -126,35 +136,23 @@ def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
     )
 
 
-def _column(
-    columns: list[_Array], header: PcdHeader, name: str, dtype: type, source_name: str = ""
-) -> _Array | None:
-    if name not in header.names:
-        return None
-    values = columns[header.names.index(name)]
-    if dtype is np.int32:
-        if values.dtype.kind == "f":
-            raise FormatError(source_name, name, "a type of integers, I or U")
-        limits = np.iinfo(np.int32)
-        if len(values) and not (values.min() >= limits.min and values.max() <= limits.max):
-            raise FormatError(source_name, name, "values within 32 bits", actual=str(values.max()))
-        return values.astype(np.int32)
-    return _narrowed(values, dtype)
+def _integers(values: _Array, source_name: str) -> Int32:
+    if values.dtype.kind == "f":
+        raise FormatError(source_name, "t", "a type of integers, I or U")
+    limits = np.iinfo(np.int32)
+    if len(values) and not (values.min() >= limits.min and values.max() <= limits.max):
+        raise FormatError(source_name, "t", "values within 32 bits", actual=str(values.max()))
+    return values.astype(np.int32)
 
 
-def _narrowed(values: _Array, dtype: type) -> _Array:
-    with np.errstate(over="ignore"):
-        return values.astype(dtype)
-
-
-def _binary_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+def _binary_columns(data: bytes, header: PcdHeader, source_name: str) -> dict[str, _Array]:
     row = header.row()
     _check_length(len(data) - header.begin, row.itemsize * header.points, header, source_name)
     rows = np.frombuffer(data, row, header.points, header.begin)
-    return [rows[f"{k}"][:, 0] if count else np.zeros(len(rows)) for k, count in enumerate(header.counts)]
+    return {name: rows[f"{k}"][:, 0] for k, name in enumerate(header.names) if name in _USED}
 
 
-def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> dict[str, _Array]:
     """Parse two lengths (U4: compressed, uncompressed), then LZF data with field after field."""
     if len(data) - header.begin < 8:
         raise FormatError(source_name, "data", "eight bytes of lengths", byte_offset=header.begin)
@@ -167,9 +165,10 @@ def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> lis
         plain_data = lzf_decompressed(data[header.begin + 8 :], plain)
     except LzfError as error:
         raise FormatError(source_name, "data", str(error), byte_offset=header.begin + 8) from None
-    columns, at = [], 0
-    for kind, count in zip(header.kinds, header.counts, strict=True):
-        columns.append(np.frombuffer(plain_data, kind, header.points * count, at)[:: max(count, 1)])
+    columns, at = dict[str, _Array](), 0
+    for name, kind, count in zip(header.names, header.kinds, header.counts, strict=True):
+        if name in _USED:
+            columns[name] = np.frombuffer(plain_data, kind, header.points, at)
         at += np.dtype(kind).itemsize * count * header.points
     return columns
 
@@ -180,28 +179,24 @@ def _check_length(have: int, want: int, header: PcdHeader, source_name: str) -> 
         raise FormatError(source_name, "data", expected, actual=f"{have} bytes", byte_offset=header.begin)
 
 
-def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> dict[str, _Array]:
     lines = data[header.begin :].decode("latin-1").split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
-    width = sum(header.counts)
     if len(lines) != header.points:
-        expected = f"{header.points} lines, as POINTS says"
-        actual = f"{len(lines)} lines"
+        expected, actual = f"{header.points} lines, as POINTS says", f"{len(lines)} lines"
         raise FormatError(source_name, "data", expected, actual=actual, line_number=header.lines + 1)
-    starts = np.append(0, np.cumsum(header.counts))[:-1].tolist()
-    texts: list[list[str]] = [[] for _ in header.names]
-    for number, line in enumerate(lines, start=header.lines + 1):
-        words = line.split()
-        if len(words) != width:
-            expected = f"{width} numbers, one per field"
-            raise FormatError(source_name, "data", expected, actual=line, line_number=number)
-        for text, start in zip(texts, starts, strict=True):
-            text.append(words[start] if start < width else "0")
-    return [
-        _parsed(name, kind, text, header=header, source_name=source_name) if name in USED else np.zeros(0)
-        for name, kind, text in zip(header.names, header.kinds, texts, strict=True)
-    ]
+    rows, width = [line.split() for line in lines], sum(header.counts)
+    for number, row in enumerate(rows):
+        if len(row) != width:
+            expected, at = f"{width} numbers, one per field", header.lines + 1 + number
+            raise FormatError(source_name, "data", expected, actual=lines[number], line_number=at)
+    starts = accumulate(header.counts, initial=0)
+    return {
+        name: _parsed(name, kind, [row[start] for row in rows], header=header, source_name=source_name)
+        for name, kind, start in zip(header.names, header.kinds, starts, strict=False)
+        if name in _USED
+    }
 
 
 def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_name: str) -> _Array:
@@ -224,3 +219,111 @@ def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_na
 
 
 _READERS = {"ascii": _ascii_columns, "binary": _binary_columns, "binary_compressed": _compressed_columns}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PcdHeader:
+    """`kinds` are numpy's codes, `counts` the numbers per point of each field; the data begin at byte `begin`, after
+    `lines` lines."""
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    counts: tuple[int, ...]
+    points: int
+    data: str
+    begin: int
+    lines: int
+
+    def row(self) -> np.dtype[Any]:
+        """Return the layout of one point in a binary file."""
+        fields = enumerate(zip(self.kinds, self.counts, strict=True))
+        return np.dtype([(f"{k}", kind, (count,)) for k, (kind, count) in fields])
+
+
+def read_header(data: bytes, source_name: str) -> PcdHeader:
+    """Parse the ten entries, each once, in the format's order; ignores comments and empty lines.
+
+    Raises FormatError for the first invalid entry.
+    """
+    entries: dict[str, list[str]] = {}
+    begin = line_number = 0
+    while "DATA" not in entries:
+        line_number += 1
+        end = data.find(b"\n", begin, begin + _MAX_HEADER_BYTES)
+        if end < 0:
+            expected = f"the header to continue with {_KEYS[len(entries)]}"
+            actual = data[begin : begin + 40]
+            raise FormatError(source_name, "header", expected, actual=actual, line_number=line_number)
+        line, begin = data[begin:end], end + 1
+        words = line.decode("latin-1").split()
+        if not words or words[0].startswith("#"):
+            continue
+        key = _KEYS[len(entries)]
+        if key == "VIEWPOINT" and words[0] == "POINTS":
+            entries[key], key = [], "POINTS"  # files before 0.7 have none
+        if words[0] != key:
+            raise FormatError(source_name, "header", key, actual=words[0], line_number=line_number)
+        entries[key] = words[1:]
+        _check(entries, key, line_number, source_name)
+    counts = tuple(int(word) for word in entries["COUNT"])
+    kinds = tuple(_TYPES[kind + size] for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=True))
+    return PcdHeader(
+        names=tuple(entries["FIELDS"]),
+        kinds=kinds,
+        counts=counts,
+        points=int(entries["POINTS"][0]),
+        data=entries["DATA"][0],
+        begin=begin,
+        lines=line_number,
+    )
+
+
+def _check(entries: dict[str, list[str]], key: str, line_number: int, source_name: str) -> None:
+    """Raise FormatError for an entry that the format or the entries before do not allow."""
+    words = entries[key]
+    expected = ""
+    if key == "VERSION" and words not in (["0.7"], [".7"]):
+        expected = "0.7"
+    elif key == "FIELDS":
+        wanted = [name for name in words if name in _USED]
+        if not {"x", "y", "z"} <= set(words) or len(set(wanted)) != len(wanted):
+            expected = "x, y and z, each once"
+    elif key in ("SIZE", "TYPE", "COUNT") and len(words) != len(entries["FIELDS"]):
+        expected = f"{len(entries['FIELDS'])} entries, one per field"
+    elif key == "SIZE" and not set(words) <= {"1", "2", "4", "8"}:
+        expected = "1, 2, 4 or 8"
+    elif key == "TYPE" and not all(
+        kind + size in _TYPES for kind, size in zip(words, entries["SIZE"], strict=True)
+    ):
+        expected = "I, U or F of a valid size"
+    elif key == "COUNT":
+        if not all(_whole(word, _MAX_COUNT) for word in words) or any(
+            int(word) != 1 for name, word in zip(entries["FIELDS"], words, strict=True) if name in _USED
+        ):
+            expected = "integers, 1 for x y z intensity t"
+        elif sum(int(word) for word in words) > _MAX_COUNT:
+            expected = f"no more than {_MAX_COUNT} values per point"
+    elif key in ("WIDTH", "HEIGHT") and not (len(words) == 1 and _whole(words[0], _MAX_POINTS)):
+        expected = "an integer"
+    elif key == "VIEWPOINT" and not (len(words) == 7 and all(_is_number(word) for word in words)):
+        expected = "seven numbers"
+    elif key == "POINTS":
+        points = int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0])
+        if not (len(words) == 1 and _whole(words[0], _MAX_POINTS) and int(words[0]) == points):
+            expected = f"WIDTH × HEIGHT, {points}"
+    elif key == "DATA" and words not in (["ascii"], ["binary"], ["binary_compressed"]):
+        expected = "ascii, binary or binary_compressed"
+    if expected:
+        raise FormatError(source_name, key, expected, actual=" ".join(words), line_number=line_number)
+
+
+def _whole(word: str, most: int) -> bool:
+    return word.isascii() and word.isdecimal() and len(word) < 10 and int(word) <= most
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -23,11 +23,11 @@ from datetime import date, timedelta
 from pathlib import Path
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea.framing import Sentence, parse_sentence
-from camber.formats.nmea.sentences import READERS, Gbs, Gga, Gst, SentenceFields, UtcDate
-from camber.formats.receiver.frame_buffer import FrameBuffer
+from camber.formats.nmea.sentences import READERS, Sentence, SentenceContent, SentenceFields, parse_sentence
+from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import IntegrityReport
-from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.receiver.solution import Fields, ReceiverSolution
+from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import (
     NS_PER_DAY,
     NS_PER_SECOND,
@@ -43,18 +43,19 @@ _CHUNK_BYTES = 65536  # chosen: memory of a file reader
 
 @dataclass(slots=True, kw_only=True)
 class _NmeaEpoch:
-    """The sentences received so far with one time of day."""
+    """The sentences received so far with one time of day; `byte_offset` is that of GGA."""
 
     time_of_day_ns: int
     last_kind: str
-    gga: Gga | None = None
-    gst: Gst | None = None
+    solution: Fields | None = None
+    byte_offset: int = 0
+    covariance_enu_m2: EnuCovariance | None = None
     day: date | None = None
     emitted: bool = False
 
 
-class NmeaDecoder:
-    """Decodes the bytes of a receiver's port, in chunks of any size, to solutions and errors.
+class NmeaDecoder(FramedDecoder[NmeaResult]):
+    """Decodes the bytes of a receiver's port to solutions and errors.
 
     `utc_date` is the UTC date of the first position, for streams without RMC or ZDA (which override it).
     """
@@ -66,12 +67,12 @@ class NmeaDecoder:
         utc_date: date | None = None,
         report: IntegrityReport | None = None,
     ) -> None:
+        super().__init__("nmea")
         self.source_name = source_name
         self.epochs_without_position = 0
         """GGA sentences of a receiver without position."""
         self.late_sentences = 0
         """GGA and GST sentences received after their epoch had been emitted, and lost."""
-        self._frames = FrameBuffer("nmea")
         self._malformed_bytes = 0
         self._report = IntegrityReport() if report is None else report
         self._last: str | None = None
@@ -83,23 +84,10 @@ class NmeaDecoder:
     @property
     def bytes_skipped(self) -> int:
         """Bytes that are not part of a sentence: other protocols on the same port, and malformed sentences."""
-        return self._frames.bytes_skipped + self._malformed_bytes
+        return super().bytes_skipped + self._malformed_bytes
 
-    @property
-    def bytes_pending(self) -> int:
-        """Bytes kept of an incomplete sentence."""
-        return self._frames.bytes_pending
-
-    def feed(self, data: bytes) -> list[NmeaResult]:
-        """Return the results that `data` completes. Never raises; keeps at most a partial sentence and an epoch."""
-        frames = self._frames.feed(data)
-        return [result for frame in frames for result in self.take(frame.data, frame.byte_offset)]
-
-    def finish(self) -> list[NmeaResult]:
-        """Return the pending epoch, when the stream has ended or the receiver is silent."""
-        frames = self._frames.finish()
-        results = [result for frame in frames for result in self.take(frame.data, frame.byte_offset)]
-        return results + self._close()
+    def _take(self, frame: Frame) -> list[NmeaResult]:
+        return self.take(frame.data, frame.byte_offset)
 
     def take(self, text: bytes, byte_offset: int) -> list[NmeaResult]:
         """Return the results that one sentence completes, from its `$` on without the line end."""
@@ -115,12 +103,15 @@ class NmeaDecoder:
         """Set the date of another source, as GPS time, while the stream has not contained one."""
         if self._day is None:
             utc = utc_from_gps_ns(time_ns)
-            self._day = date(utc.year, utc.month, utc.day)
-            self._day_time_of_day_ns = (utc.hour * 3600 + utc.minute * 60 + utc.second) * NS_PER_SECOND
+            of_day_s = utc.hour * 3600 + utc.minute * 60 + utc.second
+            self._set_day(date(utc.year, utc.month, utc.day), of_day_s * NS_PER_SECOND)
+
+    def _set_day(self, day: date, time_of_day_ns: int) -> None:
+        self._day, self._day_time_of_day_ns = day, time_of_day_ns
 
     def _sentence(self, sentence: Sentence) -> list[NmeaResult]:
         fields = SentenceFields(self.source_name, sentence)
-        if sentence.kind != "ZDA" and not fields.text(0):
+        if not fields.text(0):
             # Receivers send empty sentences until they know the time.
             self.epochs_without_position += sentence.kind == "GGA"
             return []
@@ -130,17 +121,15 @@ class NmeaDecoder:
             return [error]
         if sentence.kind == "ZDA":
             # Some receivers send it at the time of transmission, so it sets the date but belongs to no epoch.
-            if isinstance(content, UtcDate):
-                self._day, self._day_time_of_day_ns = content.day, content.time_of_day_ns
+            if content.day is not None:
+                self._set_day(content.day, content.time_of_day_ns)
             return []
-        assert content is not None
-        if isinstance(content, Gbs):
-            return self._integrity(content, sentence.byte_offset)
-        time_of_day_ns = content if isinstance(content, int) else content.time_of_day_ns
+        if content.integrity is not None:
+            return self._integrity(content.time_of_day_ns, content.integrity, sentence.byte_offset)
         results = list[NmeaResult]()
-        if self._epoch is None or self._epoch.time_of_day_ns != time_of_day_ns:
-            results = self._close()
-            self._epoch = _NmeaEpoch(time_of_day_ns=time_of_day_ns, last_kind=sentence.kind)
+        if self._epoch is None or self._epoch.time_of_day_ns != content.time_of_day_ns:
+            results = self._end()
+            self._epoch = _NmeaEpoch(time_of_day_ns=content.time_of_day_ns, last_kind=sentence.kind)
         epoch = self._epoch
         epoch.last_kind = sentence.kind
         results += self._store(epoch, sentence, content)
@@ -148,75 +137,60 @@ class NmeaDecoder:
             results += self._emit(epoch)
         return results
 
-    def _integrity(self, gbs: Gbs, byte_offset: int) -> list[NmeaResult]:
-        day = self._day_at(gbs.time_of_day_ns)
-        time_ns = None if day is None else _gps_ns(day, gbs.time_of_day_ns)
+    def _integrity(self, time_of_day_ns: int, integrity: Fields, byte_offset: int) -> list[NmeaResult]:
+        day = self._day_at(time_of_day_ns)
+        time_ns = None if day is None else _gps_ns(day, time_of_day_ns)
         if time_ns is None:
             expected = "a date, from an RMC or ZDA sentence before it or given, on which there is this time"
             return [FormatError(self.source_name, "GBS date", expected, byte_offset=byte_offset)]
-        self._report.update_fault_detection(time_ns, gbs)
+        self._report.update("fault_detection", time_ns, integrity)
         return [*self._report.at(time_ns)]
 
-    def _store(
-        self, epoch: _NmeaEpoch, sentence: Sentence, content: Gga | Gst | UtcDate | int
-    ) -> list[NmeaResult]:
-        if isinstance(content, UtcDate):
+    def _store(self, epoch: _NmeaEpoch, sentence: Sentence, content: SentenceContent) -> list[NmeaResult]:
+        if content.day is not None:
             epoch.day = content.day
-            self._day, self._day_time_of_day_ns = content.day, content.time_of_day_ns
-        elif isinstance(content, int):
+            self._set_day(content.day, content.time_of_day_ns)
+        elif sentence.kind != "GST" and content.solution is None:
             self.epochs_without_position += sentence.kind == "GGA"
         elif epoch.emitted:
             self.late_sentences += 1
-            if isinstance(content, Gst):
+            if sentence.kind == "GST":
                 # Learnt wrongly: return whole epochs and learn again.
                 self._last = self._previous_last = None
-        elif isinstance(content, Gst):
-            epoch.gst = content
-        elif epoch.gga is None:
-            epoch.gga = content
+        elif sentence.kind == "GST":
+            epoch.covariance_enu_m2 = content.covariance_enu_m2
+        elif epoch.solution is None:
+            epoch.solution, epoch.byte_offset = content.solution, sentence.byte_offset
         else:
             expected = "one GGA for each time"
-            return [FormatError(self.source_name, "sentence", expected, byte_offset=content.byte_offset)]
+            return [FormatError(self.source_name, "sentence", expected, byte_offset=sentence.byte_offset)]
         return []
 
-    def _close(self) -> list[NmeaResult]:
+    def _end(self) -> list[NmeaResult]:
         """End the open epoch, and learn from its last sentence."""
         epoch, self._epoch = self._epoch, None
         if epoch is None:
             return []
-        if epoch.gga is not None:
+        if epoch.solution is not None:
             if epoch.last_kind == self._previous_last:
                 self._last = epoch.last_kind
             self._previous_last = epoch.last_kind
         return self._emit(epoch)
 
     def _emit(self, epoch: _NmeaEpoch) -> list[NmeaResult]:
-        gga = epoch.gga
-        if gga is None or epoch.emitted:
+        if epoch.solution is None or epoch.emitted:
             return []
         epoch.emitted = True
         day = epoch.day or self._day_at(epoch.time_of_day_ns)
-        if day is None:
-            expected = "an RMC or ZDA sentence before this position, or a given date"
-            return [FormatError(self.source_name, "GGA date", expected, byte_offset=gga.byte_offset)]
-        time_ns = _gps_ns(day, epoch.time_of_day_ns)
-        if time_ns is None:
-            expected = "a UTC time that exists, from 1980-01-06 on"
-            return [FormatError(self.source_name, "GGA time", expected, byte_offset=gga.byte_offset)]
-        self._day, self._day_time_of_day_ns = day, epoch.time_of_day_ns
-        return [
-            ReceiverSolution(
-                time_ns=time_ns,
-                latitude_rad=gga.latitude_rad,
-                longitude_rad=gga.longitude_rad,
-                height_m=gga.height_m,
-                quality=gga.quality,
-                satellites=gga.satellites,
-                covariance_enu_m2=None if epoch.gst is None else epoch.gst.covariance_enu_m2,
-                age_s=gga.age_s,
-                station=gga.station,
-            )
-        ]
+        time_ns = None if day is None else _gps_ns(day, epoch.time_of_day_ns)
+        if day is None or time_ns is None:
+            field, expected = "GGA time", "a UTC time that exists, from 1980-01-06 on"
+            if day is None:
+                field, expected = "GGA date", "an RMC or ZDA sentence before this position, or a given date"
+            return [FormatError(self.source_name, field, expected, byte_offset=epoch.byte_offset)]
+        self._set_day(day, epoch.time_of_day_ns)
+        covariance_enu_m2 = epoch.covariance_enu_m2
+        return [ReceiverSolution(time_ns=time_ns, covariance_enu_m2=covariance_enu_m2, **epoch.solution)]
 
     def _day_at(self, time_of_day_ns: int) -> date | None:
         """Return the day on which this time of day is within twelve hours of the last known one."""

@@ -1,21 +1,25 @@
-"""Fields of GGA, GST, GBS, RMC and ZDA sentences.
+"""NMEA 0183 sentences: framing, checksum, and the fields of GGA, GST, GBS, RMC and ZDA.
 
-Source: NMEA 0183 v4.11, 6.3. Values are parsed from the text itself and not by pynmeagps: it rounds, accepts minutes
-above 59, an absent hemisphere or a leap second as they are, and refuses a position because of a station name.
+Source: NMEA 0183 v4.11, 5.3: `$`, printable characters, `*`, two hexadecimal digits of the exclusive or of everything
+between `$` and `*`, carriage return, line feed; 6.3. Values are parsed from the text itself and not by pynmeagps: it
+rounds, accepts minutes above 59, an absent hemisphere or a leap second as they are, and refuses a position because of a
+station name.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date
 
+from pynmeagps.nmeahelpers import calc_checksum, get_parts
+
 from camber.formats.errors import FormatError
-from camber.formats.nmea.framing import Sentence
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES
 from camber.formats.receiver.printed_covariance import covariance_from_printed
-from camber.formats.receiver.solution import SolutionQuality
+from camber.formats.receiver.solution import Fields, SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import NS_PER_SECOND
 
@@ -30,6 +34,7 @@ QUALITY_FROM_NMEA = {
     6: SolutionQuality.DEAD_RECKONING,
 }
 
+_WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")
 _TIME = re.compile(r"(\d\d)(\d\d)(\d\d)(?:\.(\d{1,9}))?", re.ASCII)
 _LATITUDE = re.compile(r"(\d\d)(\d\d(?:\.\d+)?)", re.ASCII)
 _LONGITUDE = re.compile(r"(\d{3})(\d\d(?:\.\d+)?)", re.ASCII)
@@ -45,49 +50,44 @@ _MAX_BIAS_M = 1.0e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gga:
-    """A position at a UTC time of day; `height_m` is above the ellipsoid (altitude plus geoid separation)."""
+class Sentence:
+    """A sentence with a correct checksum: `kind` is its formatter (`GGA`), `fields` the texts after it."""
 
-    time_of_day_ns: int
-    latitude_rad: float
-    longitude_rad: float
-    height_m: float
-    quality: SolutionQuality
-    satellites: int | None
-    age_s: float | None
-    station: str | None
+    talker: str
+    kind: str
+    fields: tuple[str, ...]
     byte_offset: int
 
 
-@dataclass(frozen=True, slots=True)
-class Gst:
-    """Error statistics: the covariance of the position of the same UTC time of day, None if empty."""
-
-    time_of_day_ns: int
-    covariance_enu_m2: EnuCovariance | None
+def parse_sentence(source_name: str, text: bytes, byte_offset: int) -> Sentence | FormatError:
+    """Parse a candidate sentence, from its `$` on without the line end; an error where it is malformed."""
+    actual = text
+    if len(text) > MAX_SENTENCE_BYTES:
+        expected = f"at most {MAX_SENTENCE_BYTES} bytes before its end"
+    elif not _WHOLE.fullmatch(text):
+        expected = "$…*hh and a line end: cut short or interrupted"
+    else:
+        content, talker, kind, fields, checksum = get_parts(text)
+        if calc_checksum(content) == checksum.upper():
+            return Sentence(talker=talker, kind=kind, fields=tuple(fields), byte_offset=byte_offset)
+        expected = f"checksum {calc_checksum(content)}"
+        actual = text[:6] + b"..." + text[-6:]
+    return FormatError(source_name, "sentence", expected, actual=actual, byte_offset=byte_offset)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gbs:
-    """Fault detection (RAIM): expected errors of the position, and the satellite that most likely failed.
-
-    `satellite` is `G05`, or the sentence's number where its system is unknown. None for an empty field.
-    """
+class SentenceContent:
+    """What a sentence says at a UTC time of day [ns]; 86,400 s and more in a leap second."""
 
     time_of_day_ns: int
-    expected_error_enu_m: tuple[float, float, float] | None
-    satellite: str | None
-    missed_detection_probability: float | None
-    bias_m: float | None
-    bias_sigma_m: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class UtcDate:
-    """UTC date at a UTC time of day, from RMC or ZDA."""
-
-    time_of_day_ns: int
-    day: date
+    solution: Fields | None = None
+    """GGA: of a `ReceiverSolution`; None where the receiver has no position."""
+    covariance_enu_m2: EnuCovariance | None = None
+    """GST: of the position of the same time; None where it is empty or all zero."""
+    integrity: Fields | None = None
+    """GBS: of a `ReceiverIntegrity`, by fault detection (RAIM)."""
+    day: date | None = None
+    """RMC, ZDA: the UTC date; None where it is empty or invalid."""
 
 
 class SentenceFields:
@@ -131,6 +131,15 @@ class SentenceFields:
         """Return the number, None for an empty field."""
         return self.number(index, name, lowest, highest) if self.text(index) else None
 
+    def all_or_none(
+        self, names: Mapping[int, str], lowest: float, highest: float
+    ) -> tuple[float, float, float] | None:
+        """Return three numbers, None where a field is empty."""
+        if not all(self.text(index) for index in names):
+            return None
+        a, b, c = (self.number(index, name, lowest, highest) for index, name in names.items())
+        return a, b, c
+
     def rounding(self, index: int) -> float:
         """Return half a unit of the last printed digit."""
         match = _NUMBER.fullmatch(self.text(index))
@@ -160,26 +169,25 @@ class SentenceFields:
         return math.radians(value_deg if sign == signs[0] else -value_deg)
 
 
-def read_gga(fields: SentenceFields) -> Gga | int:
-    """Return the position, or only its time of day [ns] where the receiver has none (quality 0)."""
+def _read_gga(fields: SentenceFields) -> SentenceContent:
+    """The height is above the ellipsoid: altitude plus geoid separation."""
     time_of_day_ns = fields.time_of_day_ns(0)
     quality_number = int(fields.number(5, "quality", 0, 9)) if fields.text(5).isdigit() else -1
     if quality_number == 0:
-        return time_of_day_ns
+        return SentenceContent(time_of_day_ns=time_of_day_ns)
     if quality_number not in QUALITY_FROM_NMEA:
         raise fields.error(5, "quality", "0 to 6; manual and simulated positions are not read")
     satellites = fields.optional_number(6, "satellites", 0, 255)
-    return Gga(
-        time_of_day_ns=time_of_day_ns,
-        latitude_rad=fields.latitude_rad(1),
-        longitude_rad=fields.longitude_rad(3),
-        height_m=_ellipsoidal_height_m(fields),
-        quality=QUALITY_FROM_NMEA[quality_number],
-        satellites=None if satellites is None else int(satellites),
-        age_s=fields.optional_number(12, "age of corrections", 0.0, _MAX_AGE_S),
-        station=fields.text(13) or None,
-        byte_offset=fields.byte_offset,
-    )
+    solution = {
+        "latitude_rad": fields.latitude_rad(1),
+        "longitude_rad": fields.longitude_rad(3),
+        "height_m": _ellipsoidal_height_m(fields),
+        "quality": QUALITY_FROM_NMEA[quality_number],
+        "satellites": None if satellites is None else int(satellites),
+        "age_s": fields.optional_number(12, "age of corrections", 0.0, _MAX_AGE_S),
+        "station": fields.text(13) or None,
+    }
+    return SentenceContent(time_of_day_ns=time_of_day_ns, solution=solution)
 
 
 def _ellipsoidal_height_m(fields: SentenceFields) -> float:
@@ -195,20 +203,18 @@ def _ellipsoidal_height_m(fields: SentenceFields) -> float:
     return round(altitude_m + separation_m, 9)
 
 
-def read_gst(fields: SentenceFields) -> Gst:
+def _read_gst(fields: SentenceFields) -> SentenceContent:
     """Return the standard deviations of latitude, longitude and altitude as a covariance.
 
-    None for fields that are empty or all zero. The east-north term is that of the error ellipse where the receiver
-    reports it; the sentence has no horizontal-vertical terms, they are zero.
+    The east-north term is that of the error ellipse where the receiver reports it; the sentence has no
+    horizontal-vertical terms, they are zero.
     """
     time_of_day_ns = fields.time_of_day_ns(0)
-    names = ("σ of longitude", "σ of latitude", "σ of altitude")
-    indices = (6, 5, 7)
-    if not all(fields.text(index) for index in indices):
-        return Gst(time_of_day_ns, None)
-    east, north, up = (
-        fields.number(index, name, 0.0, _MAX_DEVIATION_M) for index, name in zip(indices, names, strict=True)
-    )
+    names = {6: "σ of longitude", 5: "σ of latitude", 7: "σ of altitude"}
+    deviations = fields.all_or_none(names, 0.0, _MAX_DEVIATION_M)
+    if deviations is None:
+        return SentenceContent(time_of_day_ns=time_of_day_ns)
+    east, north, up = deviations
     root = 0.0
     if all(fields.text(index) for index in (2, 3, 4)):
         major = fields.number(2, "semi-major σ", 0.0, _MAX_DEVIATION_M)
@@ -217,9 +223,9 @@ def read_gst(fields: SentenceFields) -> Gst:
         covariance = (major * major - minor * minor) * math.sin(heading_rad) * math.cos(heading_rad)
         # Ellipse and deviations are redundant and rounded; the ellipse must not exceed the deviations.
         root = math.copysign(math.sqrt(min(abs(covariance), 0.999 * east * north)), covariance)
-    rounding = max(fields.rounding(index) for index in indices)
+    rounding = max(fields.rounding(index) for index in names)
     covariance_enu_m2 = covariance_from_printed((east, north, up), (root, 0.0, 0.0), rounding)
-    return Gst(time_of_day_ns, covariance_enu_m2)
+    return SentenceContent(time_of_day_ns=time_of_day_ns, covariance_enu_m2=covariance_enu_m2)
 
 
 # NMEA 0183 v4.11, 6.3: the letter by GNSS system id (from 4.10 on), else by talker; offsets of satellite numbers.
@@ -228,29 +234,30 @@ _TALKER_SYSTEMS = {"GP": "G", "GL": "R", "GA": "E", "GB": "C", "BD": "C", "GQ": 
 _OFFSETS = {"R": (64,), "E": (300,), "C": (100, 200, 400), "J": (192,)}
 
 
-def read_gbs(fields: SentenceFields) -> Gbs:
-    """Return the fault detection; the errors are empty where it was impossible or has failed (u-blox, 4.2.3)."""
+def _read_gbs(fields: SentenceFields) -> SentenceContent:
+    """Failed: with a suspect satellite, used in the position or not. Passed: with expected errors only.
+
+    The errors are empty where fault detection was impossible or has failed (u-blox, 4.2.3).
+    """
     time_of_day_ns = fields.time_of_day_ns(0)
-    expected_error_enu_m = None
-    if all(fields.text(index) for index in (1, 2, 3)):
-        names = ("error of longitude", "error of latitude", "error of altitude")
-        east, north, up = (
-            fields.number(index, name, -_MAX_DEVIATION_M, _MAX_DEVIATION_M)
-            for index, name in zip((2, 1, 3), names, strict=True)
-        )
-        expected_error_enu_m = east, north, up
+    names = {2: "error of longitude", 1: "error of latitude", 3: "error of altitude"}
+    expected_error_enu_m = fields.all_or_none(names, -_MAX_DEVIATION_M, _MAX_DEVIATION_M)
     number = fields.optional_number(4, "failed satellite", 0, 999)
-    return Gbs(
-        time_of_day_ns=time_of_day_ns,
-        expected_error_enu_m=expected_error_enu_m,
-        satellite=None if number is None else _satellite(fields, int(number)),
-        missed_detection_probability=fields.optional_number(5, "probability of missed detection", 0.0, 1.0),
-        bias_m=fields.optional_number(6, "bias", -_MAX_BIAS_M, _MAX_BIAS_M),
-        bias_sigma_m=fields.optional_number(7, "σ of bias", 0.0, _MAX_BIAS_M),
-    )
+    passed = "unknown" if expected_error_enu_m is None else "passed"
+    probability = fields.optional_number(5, "probability of missed detection", 0.0, 1.0)
+    integrity = {
+        "raim": passed if number is None else "failed",
+        "expected_error_enu_m": expected_error_enu_m,
+        "suspect_satellite": None if number is None else _satellite(fields, int(number)),
+        "missed_detection_probability": probability,
+        "suspect_bias_m": fields.optional_number(6, "bias", -_MAX_BIAS_M, _MAX_BIAS_M),
+        "suspect_bias_sigma_m": fields.optional_number(7, "σ of bias", 0.0, _MAX_BIAS_M),
+    }
+    return SentenceContent(time_of_day_ns=time_of_day_ns, integrity=integrity)
 
 
 def _satellite(fields: SentenceFields, number: int) -> str:
+    """Return `G05`, or the number alone where its system is unknown."""
     system = _SYSTEMS.get(fields.text(8)) or _TALKER_SYSTEMS.get(fields.talker, "")
     if system == "G" and number > 32:
         # SBAS 120 to 151 are 33 to 64, with any talker.
@@ -261,41 +268,40 @@ def _satellite(fields: SentenceFields, number: int) -> str:
     return f"{system}{number:02d}"
 
 
-def read_rmc(fields: SentenceFields) -> UtcDate | int:
-    """Return the date, or only the time of day [ns] where the date is empty or invalid (status V)."""
+def _read_rmc(fields: SentenceFields) -> SentenceContent:
+    """Without a date where the status is V, invalid."""
     time_of_day_ns = fields.time_of_day_ns(0)
     if fields.text(1) != "A" or not fields.text(8):
-        return time_of_day_ns
+        return SentenceContent(time_of_day_ns=time_of_day_ns)
     match = _DATE.fullmatch(fields.text(8))
     try:
         day, month, short_year = (int(part) for part in match.groups()) if match else (0, 0, 0)
         # GPS time began in 1980, so two digits are unique until 2079.
-        return UtcDate(time_of_day_ns, date(short_year + (1900 if short_year >= 80 else 2000), month, day))
+        year = short_year + (1900 if short_year >= 80 else 2000)
+        return SentenceContent(time_of_day_ns=time_of_day_ns, day=date(year, month, day))
     except ValueError:
         raise fields.error(8, "date", "ddmmyy") from None
 
 
-def read_zda(fields: SentenceFields) -> UtcDate | int | None:
-    """Return the date or the time of day as `read_rmc`; None where the time is empty, before the receiver knows it."""
-    if not fields.text(0):
-        return None
+def _read_zda(fields: SentenceFields) -> SentenceContent:
     time_of_day_ns = fields.time_of_day_ns(0)
-    parts: Sequence[str] = [fields.text(index) for index in (1, 2, 3)]
+    parts = [fields.text(index) for index in (1, 2, 3)]
     if not all(parts):
-        return time_of_day_ns
+        return SentenceContent(time_of_day_ns=time_of_day_ns)
     try:
         if not all(part.isascii() and part.isdigit() and len(part) <= 4 for part in parts):
             raise ValueError(parts)
         day, month, year = (int(part) for part in parts)
-        return UtcDate(time_of_day_ns, date(year, month, day))
+        return SentenceContent(time_of_day_ns=time_of_day_ns, day=date(year, month, day))
     except ValueError:
         raise fields.error(1, "date", "dd,mm,yyyy") from None
 
 
-READERS: dict[str, Callable[[SentenceFields], Gga | Gst | Gbs | UtcDate | int | None]] = {
-    "GBS": read_gbs,
-    "GGA": read_gga,
-    "GST": read_gst,
-    "RMC": read_rmc,
-    "ZDA": read_zda,
+READERS: dict[str, Callable[[SentenceFields], SentenceContent]] = {
+    "GBS": _read_gbs,
+    "GGA": _read_gga,
+    "GST": _read_gst,
+    "RMC": _read_rmc,
+    "ZDA": _read_zda,
 }
+"""By kind of sentence; FormatError where a field is malformed. The time must not be empty."""

@@ -6,8 +6,9 @@ characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bit
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -79,3 +80,44 @@ class FrameBuffer:
         self._buffer = self._buffer[search.consumed :]
         self._buffer_offset += search.consumed
         return frames
+
+
+R = TypeVar("R")
+
+
+class FramedDecoder(ABC, Generic[R]):
+    """Decodes the frames of some protocols in a stream; the results do not depend on how it is chunked."""
+
+    def __init__(self, *protocols: FrameProtocol) -> None:
+        self._frames = FrameBuffer(*protocols)
+
+    @property
+    def bytes_skipped(self) -> int:
+        """Bytes that are not part of a frame with a correct checksum, or of a sentence."""
+        return self._frames.bytes_skipped
+
+    @property
+    def bytes_pending(self) -> int:
+        """Bytes kept of an incomplete frame."""
+        return self._frames.bytes_pending
+
+    @property
+    def failed_checks(self) -> int:
+        """Frames of UBX or RTCM with a wrong checksum."""
+        return sum(self._frames.failed_checks.values())
+
+    def feed(self, data: bytes) -> list[R]:
+        """Return the results that the bytes complete, in order. Never raises; keeps at most a frame and an epoch."""
+        return [result for frame in self._frames.feed(data) for result in self._take(frame)]
+
+    def finish(self) -> list[R]:
+        """Return the remaining results at the end of the stream, or when it is silent."""
+        return [result for frame in self._frames.finish() for result in self._take(frame)] + self._end()
+
+    @abstractmethod
+    def _take(self, frame: Frame) -> list[R]:
+        """Return the results that a frame completes."""
+
+    @abstractmethod
+    def _end(self) -> list[R]:
+        """Return the results of what is incomplete."""

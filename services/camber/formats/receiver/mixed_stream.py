@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import date
 
 from camber.formats.nmea.epochs import NmeaDecoder, NmeaResult
-from camber.formats.receiver.frame_buffer import Frame, FrameBuffer, FrameProtocol
+from camber.formats.receiver.frame_buffer import Frame, FramedDecoder, FrameProtocol
 from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rtcm.reader import RtcmDecoder, RtcmResult
@@ -15,11 +15,11 @@ from camber.formats.ubx.reader import UbxMessages, UbxResult
 MixedResult = UbxResult | NmeaResult | RtcmResult
 
 
-class MixedDecoder:
+class MixedDecoder(FramedDecoder[MixedResult]):
     """Passes the messages of each protocol to its decoder; the results are in the stream's order.
 
-    They do not depend on how the stream is chunked. `near_ns` as for `UbxMessages` and `RtcmDecoder`; without it RTCM
-    is decoded as soon as UBX or NMEA contain a date. Protocols that are not in `protocols` are skipped like garbage.
+    `near_ns` as for `UbxMessages` and `RtcmDecoder`; without it RTCM is decoded as soon as UBX or NMEA contain a date.
+    Protocols that are not in `protocols` are skipped like garbage.
     Where UBX contains positions (NAV-PVT), those of NMEA would be duplicates and are only counted.
     """
 
@@ -31,6 +31,7 @@ class MixedDecoder:
         utc_date: date | None = None,
         protocols: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm"),
     ) -> None:
+        super().__init__(*protocols)
         self.source_name = source_name
         report = IntegrityReport()
         self.ubx = UbxMessages(near_ns, report)
@@ -41,32 +42,14 @@ class MixedDecoder:
         """Messages of RTCM before there was a date."""
         self.positions_not_used = 0
         """Positions of NMEA that UBX contains too."""
-        self._frames = FrameBuffer(*protocols)
 
     @property
     def bytes_skipped(self) -> int:
         """Bytes that are not part of a frame or sentence, without line ends."""
-        return self._frames.bytes_skipped + self.nmea.bytes_skipped
+        return super().bytes_skipped + self.nmea.bytes_skipped
 
-    @property
-    def bytes_pending(self) -> int:
-        """Bytes kept of an incomplete frame."""
-        return self._frames.bytes_pending
-
-    @property
-    def failed_checks(self) -> int:
-        """Frames of UBX or RTCM with a wrong checksum."""
-        return sum(self._frames.failed_checks.values())
-
-    def feed(self, data: bytes) -> list[MixedResult]:
-        """Return the results that the bytes complete. Never raises; keeps at most a frame, and an epoch by protocol."""
-        return [result for frame in self._frames.feed(data) for result in self._take(frame)]
-
-    def finish(self) -> list[MixedResult]:
-        """Return the remaining results, at the end of the stream or when it is silent."""
-        results = [result for frame in self._frames.finish() for result in self._take(frame)]
-        results += self._update_time(self.ubx.finish())
-        results += self._without_duplicates(self.nmea.finish())
+    def _end(self) -> list[MixedResult]:
+        results = self._update_time(self.ubx.finish()) + self._without_duplicates(self.nmea.finish())
         return results if self.rtcm is None else [*results, *self.rtcm.finish()]
 
     def _take(self, frame: Frame) -> list[MixedResult]:

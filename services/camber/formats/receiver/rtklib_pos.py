@@ -42,10 +42,17 @@ _GROUPS = (_REQUIRED, _DEVIATIONS, _VELOCITIES, _VELOCITY_DEVIATIONS)
 # Half a unit of the last digit RTKLIB prints: four decimals for positions, five for velocities.
 _POSITION_ROUNDING_M = 0.5e-4
 _VELOCITY_ROUNDING_M_S = 0.5e-5
-# Chosen: far beyond anything on Earth, so that only damaged numbers exceed them.
-_MAX_HEIGHT_M = 1.0e5
-_MAX_DEVIATION = 1.0e6
-_MAX_VELOCITY_M_S = 1.0e4
+# Chosen, but for degrees: far beyond anything on Earth, so that only damaged numbers exceed them.
+_BOUNDS = {
+    "latitude(deg)": (-90.0, 90.0),
+    "longitude(deg)": (-180.0, 180.0),
+    "height(m)": (-1.0e5, 1.0e5),
+    "age(s)": (-1.0e6, 1.0e6),
+    "ratio": (0.0, math.inf),
+    **dict.fromkeys(_VELOCITIES, (-1.0e4, 1.0e4)),
+    **dict.fromkeys((*_DEVIATIONS[:3], *_VELOCITY_DEVIATIONS[:3]), (0.0, 1.0e6)),
+    **dict.fromkeys((*_DEVIATIONS[3:], *_VELOCITY_DEVIATIONS[3:]), (-1.0e6, 1.0e6)),
+}
 
 _DATUM = re.compile(r"lat/lon/height=([^/,\s]*)/([^,\s)]*)")
 _OTHER_POSITION = re.compile(r"x/y/z-ecef|e/n/u-baseline|x-ecef\(|e-baseline\(")
@@ -61,18 +68,13 @@ class _PosColumns:
 
 
 class PosDecoder:
-    """Decodes the bytes of a `.pos` file, in chunks of any size, to solutions and errors.
+    """Decodes the bytes of a `.pos` file, in chunks of any size, to solutions and errors."""
 
-    `undeclared_height="ellipsoidal"` declares the heights when the file has no line `(lat/lon/height=…)`; without it
-    such a file is refused. It does not override a file that declares otherwise.
-    """
-
-    def __init__(self, source_name: str, *, undeclared_height: Literal["ellipsoidal"] | None = None) -> None:
+    def __init__(self, source_name: str) -> None:
         self.source_name = source_name
         self.rows_refused = 0
         """Rows skipped because their header is missing or refused, which is reported once, not by row."""
         self._lines = LineBuffer()
-        self._undeclared_height = undeclared_height
         self._datum: Literal["unknown", "good", "refused"] = "unknown"
         self._columns: _PosColumns | None = None
         self._reported = False
@@ -158,10 +160,7 @@ class PosDecoder:
 
     def _columns_for_row(self) -> _PosColumns | None:
         """Return the columns of rows, or None if they cannot be read and that has been reported already."""
-        datum_known = self._datum == "good" or (
-            self._datum == "unknown" and self._undeclared_height is not None
-        )
-        if self._columns is not None and datum_known:
+        if self._columns is not None and self._datum == "good":
             return self._columns
         self.rows_refused += 1
         if self._reported:
@@ -184,21 +183,21 @@ class _Row:
         if len(self.fields) != self.columns.field_count:
             expected = f"{self.columns.field_count} fields, as the header names"
             raise self.error("columns", expected, f"{len(self.fields)} fields")
-        velocity = "vn(m/s)" in self.columns.indices
-        quality = self.quality()
+        quality = SolutionQuality(self.integer("Q", min(SolutionQuality), max(SolutionQuality)))
+        has_velocity = _VELOCITIES[0] in self.columns.indices
         return ReceiverSolution(
             time_ns=self.time_ns(),
-            latitude_rad=math.radians(self.number("latitude(deg)", -90.0, 90.0)),
-            longitude_rad=math.radians(self.number("longitude(deg)", -180.0, 180.0)),
-            height_m=self.number("height(m)", -_MAX_HEIGHT_M, _MAX_HEIGHT_M),
+            latitude_rad=math.radians(self.number("latitude(deg)")),
+            longitude_rad=math.radians(self.number("longitude(deg)")),
+            height_m=self.number("height(m)"),
             quality=quality,
             satellites=self.integer("ns", 0, 255),
             covariance_enu_m2=self.covariance(_DEVIATIONS, _POSITION_ROUNDING_M),
             age_s=self.age_s(quality),
             ratio=self.ratio(),
-            velocity_enu_m_s=self.velocity_enu_m_s() if velocity else None,
+            velocity_enu_m_s=self.velocity_enu_m_s() if has_velocity else None,
             velocity_covariance_enu_m2_s2=(
-                self.covariance(_VELOCITY_DEVIATIONS, _VELOCITY_ROUNDING_M_S) if velocity else None
+                self.covariance(_VELOCITY_DEVIATIONS, _VELOCITY_ROUNDING_M_S) if has_velocity else None
             ),
         )
 
@@ -224,7 +223,8 @@ class _Row:
             raise self.error("time", "a date and time of day where the header says UTC", f"{first} {second}")
         return time_ns
 
-    def number(self, name: str, lowest: float, highest: float) -> float:
+    def number(self, name: str) -> float:
+        lowest, highest = _BOUNDS[name]
         text = self.fields[self.columns.indices[name]]
         try:
             value = float(text) if b"_" not in text else math.nan
@@ -240,14 +240,11 @@ class _Row:
             raise self.error(name, f"a whole number from {lowest} to {highest}", text)
         return int(text)
 
-    def quality(self) -> SolutionQuality:
-        return SolutionQuality(self.integer("Q", min(SolutionQuality), max(SolutionQuality)))
-
     def ratio(self) -> float | None:
         """Return the ratio; RTKLIB prints zero without ambiguity search, a computed one is 1 or more."""
         if "ratio" not in self.columns.indices:
             return None
-        ratio = self.number("ratio", 0.0, math.inf)
+        ratio = self.number("ratio")
         if math.isinf(ratio):
             raise self.error("ratio", "a finite number", "inf")
         return ratio if ratio > 0.0 else None
@@ -256,18 +253,17 @@ class _Row:
         """Return the age; zero is real (a base epoch of the same second) unless no corrections were used at all."""
         if "age(s)" not in self.columns.indices:
             return None
-        age_s = self.number("age(s)", -_MAX_DEVIATION, _MAX_DEVIATION)
+        age_s = self.number("age(s)")
         return None if quality is SolutionQuality.SINGLE and age_s == 0.0 else age_s
 
     def velocity_enu_m_s(self) -> tuple[float, float, float]:
-        north, east, up = (self.number(name, -_MAX_VELOCITY_M_S, _MAX_VELOCITY_M_S) for name in _VELOCITIES)
+        north, east, up = map(self.number, _VELOCITIES)
         return east, north, up
 
     def covariance(self, names: tuple[str, ...], rounding: float) -> EnuCovariance | None:
         if names[0] not in self.columns.indices:
             return None
-        n, e, u = (self.number(name, 0.0, _MAX_DEVIATION) for name in names[:3])
-        ne, eu, un = (self.number(name, -_MAX_DEVIATION, _MAX_DEVIATION) for name in names[3:])
+        n, e, u, ne, eu, un = map(self.number, names)
         try:
             return covariance_from_printed((e, n, u), (ne, eu, un), rounding)
         except ValueError:

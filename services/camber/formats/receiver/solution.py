@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 from camber.geodesy.covariance import EnuCovariance
+
+Fields = dict[str, Any]
+"""Fields of a `ReceiverSolution`, or of a `ReceiverIntegrity`, that one message of a receiver contains."""
 
 
 class SolutionQuality(IntEnum):

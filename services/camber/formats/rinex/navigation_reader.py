@@ -13,7 +13,12 @@ from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
 from camber.formats.observations import Ephemeris
 from camber.formats.rinex.navigation_records import NavigationRecord, parse_ephemeris, parse_ionosphere
-from camber.formats.rinex.observation_header import MAX_HEADER_LINES, decimal_number, leap_seconds_from_text
+from camber.formats.rinex.observation_header import (
+    MAX_HEADER_LINES,
+    decimal_number,
+    leap_seconds_from_text,
+    rinex_version,
+)
 
 _MAX_RECORD_LINES = 12  # chosen: more than any supported record has (8), so that longer ones are an error
 _MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", "D2")}
@@ -100,7 +105,7 @@ class NavigationDecoder:
     def _header_line(self, text: str) -> None:
         label = text[60:].strip()
         if self.version is None:
-            self._first_line(text, label)
+            self.version = rinex_version(text, "navigation data (N)", self._error)
         elif self._line_number > MAX_HEADER_LINES:
             raise self._error("header", f"END OF HEADER within {MAX_HEADER_LINES} lines")
         elif label == "IONOSPHERIC CORR":
@@ -111,16 +116,6 @@ class NavigationDecoder:
                 raise self._error("LEAP SECONDS", "a number", text[:6])
         elif label == "END OF HEADER":
             self._in_header = False
-
-    def _first_line(self, text: str, label: str) -> None:
-        if label != "RINEX VERSION / TYPE":
-            raise self._error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", text)
-        version = decimal_number(text[:9])
-        if version is None or not 3.0 <= version < 5.0:
-            raise self._error("RINEX version", "3 or 4", text[:9].strip())
-        if text[20:21] != "N":
-            raise self._error("file type", "navigation data (N)", text[20:40].strip())
-        self.version = version
 
     def _header_ionosphere(self, text: str) -> None:
         """Add the coefficients with the line of their second half."""

@@ -31,25 +31,27 @@ _GPS_ROWS = (
     ("accuracy_m", "health", "tgd_s", "iodc"),
     ("transmission_s", "fit"),
 )
-_ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
+ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
     "G": _GPS_ROWS,
     "J": _GPS_ROWS,
     "E": (
         *_ORBIT_ROWS,
-        (_RATE, "data_sources", "week"),
+        (_RATE, "data_sources", "week", ""),
         ("accuracy_m", "health", "bgd_e5a_s", "bgd_e5b_s"),
         ("transmission_s",),
     ),
     "C": (
         *_ORBIT_ROWS,
-        (_RATE, "", "week"),
+        (_RATE, "", "week", ""),
         ("accuracy_m", "health", "tgd1_s", "tgd2_s"),
         ("transmission_s", "aodc"),
     ),
 }
+"""By system letter the lines after that of the clock; an empty name is a spare column."""
 _OTHER = ("tgd_s", "iodc", "bgd_e5a_s", "bgd_e5b_s", "data_sources", "tgd1_s", "tgd2_s", "aodc")
 _MAY_BE_BLANK = {*_OTHER, "accuracy_m", "transmission_s", "fit", "codes_on_l2", "l2_p_data"}
-_ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
+ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
+"""Of these, those that are numbers of `Ephemeris` with the same name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +68,7 @@ class NavigationRecord:
 def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
     """Parse a record of a GPS, QZSS, Galileo or BeiDou satellite. Raises ValueError with the problem."""
     system = record.satellite[0]
-    rows = _ROWS[system]
+    rows = ROWS[system]
     if len(record.lines) != 1 + len(rows):
         raise ValueError(f"{len(record.lines)} lines, not {1 + len(rows)}")
     head = record.lines[0]
@@ -106,7 +108,7 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
         accuracy_m=accuracy_m if accuracy_m >= 0.0 else math.nan,
         health=int(values["health"]),
         other=other,
-        **{name: values[name] for name in _ORBIT},
+        **{name: values[name] for name in ORBIT},
     )
 
 

@@ -7,18 +7,20 @@ A2. Phase shifts of the header are not applied: the phases of a file already con
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import CARRIER_OF_BAND_HZ, GPS_MINUS_BDT_NS
 from camber.geodesy.gps_time import NS_PER_SECOND
 
+T = TypeVar("T")
+
 SYSTEMS_SKIPPED = "RSI"
 """GLONASS, SBAS, NavIC: their satellites are counted and skipped."""
-MAX_HEADER_LINES = (
-    20_000  # chosen: bounds the work for a file without END OF HEADER; real ones have below 1,000
-)
+MAX_HEADER_LINES = 20_000
+"""Chosen: bounds the work for a file without END OF HEADER; real ones have below 1,000."""
 _TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
 _TIME_SYSTEM_OF_FILE = {"G": "GPS", "E": "GAL", "J": "QZS", "C": "BDT", "R": "GLO", "I": "IRN"}
 _SCALES = (1, 10, 100, 1000)
@@ -133,16 +135,19 @@ class HeaderParser:
         assert self._version is not None
         values = self._values
         known_faults, self._faults = self._faults, {}
+        position = self._vector("APPROX POSITION XYZ")
+        interval_s = self._number("INTERVAL", lambda text: decimal_number(text[:10]), "seconds")
         header = ObservationHeader(
             version=self._version,
             types={system: self._columns(system) for system in self._types},
             marker=values.get("MARKER NAME", "").strip() or None,
             receiver=values.get("REC # / TYPE / VERS", "")[20:40].strip() or None,
             antenna=values.get("ANT # / TYPE", "")[20:40].strip() or None,
-            position_ecef_m=self._position(),
+            # Zeros mean unknown.
+            position_ecef_m=None if position == (0.0, 0.0, 0.0) else position,
             delta_hen_m=self._vector("ANTENNA: DELTA H/E/N"),
-            interval_s=self._interval(),
-            leap_seconds=self._leap_seconds(),
+            interval_s=interval_s if interval_s is not None and interval_s > 0.0 else None,
+            leap_seconds=self._number("LEAP SECONDS", leap_seconds_from_text, "a number"),
             time_system=self._time_system(),
         )
         self.problems += [error for fault, error in self._faults.items() if fault not in known_faults]
@@ -158,14 +163,7 @@ class HeaderParser:
     def _first_line(self, text: str, label: str) -> None:
         if label.startswith("CRINEX"):
             raise self._error("format", "RINEX text, not its Hatanaka compression", text[:40].strip())
-        version = decimal_number(text[:9])
-        if label != "RINEX VERSION / TYPE" or version is None:
-            raise self._error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", text)
-        if not 3.0 <= version < 5.0:
-            raise self._error("RINEX version", "3 or 4", text[:9].strip())
-        if text[20:21] != "O":
-            raise self._error("file type", "observation data (O)", text[20:40].strip())
-        self._version = version
+        self._version = rinex_version(text, "observation data (O)", self._error)
         self._file_system = text[40:41]
 
     def _end(self) -> None:
@@ -255,34 +253,33 @@ class HeaderParser:
             raise self._error("time system", f"one of {', '.join(_TIME_OFFSETS_NS)}", time_system)
         return time_system
 
-    def _position(self) -> tuple[float, float, float] | None:
-        """Return the approximate position; zeros mean unknown."""
-        position = self._vector("APPROX POSITION XYZ")
-        return None if position == (0.0, 0.0, 0.0) else position
-
     def _vector(self, label: str) -> tuple[float, float, float] | None:
-        text = self._values.get(label)
-        if text is None or not text.strip():
-            return None
+        text = self._values.get(label, "")
         a, b, c = (decimal_number(text[k : k + 14]) for k in (0, 14, 28))
-        if a is None or b is None or c is None:
+        if a is not None and b is not None and c is not None:
+            return a, b, c
+        if text.strip():
             self._fault(label, "three numbers of 14 columns", text)
-            return None
-        return a, b, c
+        return None
 
-    def _interval(self) -> float | None:
-        text = self._values.get("INTERVAL", "")[:10]
-        value = decimal_number(text)
-        if text.strip() and value is None:
-            self._fault("INTERVAL", "seconds", text)
-        return value if value is not None and value > 0.0 else None
+    def _number(self, label: str, number_of: Callable[[str], T | None], expected: str) -> T | None:
+        text = self._values.get(label, "")
+        number = number_of(text)
+        if text.strip() and number is None:
+            self._fault(label, expected, text)
+        return number
 
-    def _leap_seconds(self) -> int | None:
-        text = self._values.get("LEAP SECONDS", "")
-        seconds = leap_seconds_from_text(text)
-        if text.strip() and seconds is None:
-            self._fault("LEAP SECONDS", "a number", text)
-        return seconds
+
+def rinex_version(text: str, file_type: str, error: Callable[[str, str, str], FormatError]) -> float:
+    """Return the version in a file's first line; an error for another format, version or type such as `… data (O)`."""
+    version = decimal_number(text[:9])
+    if text[_LABEL].strip() != "RINEX VERSION / TYPE" or version is None:
+        raise error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", text)
+    if not 3.0 <= version < 5.0:
+        raise error("RINEX version", "3 or 4", text[:9].strip())
+    if text[20:21] != file_type[-2]:
+        raise error("file type", file_type, text[20:40].strip())
+    return version
 
 
 def leap_seconds_from_text(text: str) -> int | None:

@@ -24,6 +24,7 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
+from camber.formats.rinex.navigation_records import ORBIT, ROWS
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_minus_utc_s, gpst_from_gps_ns
 
 _BLANK = " " * 16
@@ -186,36 +187,28 @@ def navigation_text(
 
 
 def _ephemeris_text(e: Ephemeris) -> str:
-    system, o = chr(e.satellite >> 8), e.other
-    # (codes on L2 or data sources), delays, (fit interval or age of data)
-    if system in "GJ":
-        third, delays = 1.0 if system == "G" else 2.0, (o["tgd_s"], o["iodc"])
-        # QZSS has a flag for more than two hours instead of hours (table A12).
-        fit_h = o["fit_interval_h"]
-        last: tuple[float, ...] = (fit_h if system == "G" else float(fit_h > 2.0),)
-    elif system == "E":
-        third, delays, last = o["data_sources"], (o["bgd_e5a_s"], o["bgd_e5b_s"]), ()
-    elif system == "C":
-        third, delays, last = 0.0, (o["tgd1_s"], o["tgd2_s"]), (o["aodc"],)
-    else:
+    system = chr(e.satellite >> 8)
+    if system not in ROWS:
         raise ValueError(f"{satellite_name(e.satellite)}: no navigation record for this system")
-    # −1: no accuracy prediction (table A8).
-    accuracy_m = -1.0 if system == "E" and math.isnan(e.accuracy_m) else e.accuracy_m
     c = gpst_from_gps_ns(e.toc_ns - (GPS_MINUS_BDT_NS if system == "C" else 0))
     # The weeks of Galileo are those of GPS (table A8).
     week, toe_ns = system_week("G" if system == "E" else system, e.toe_ns)
-    # Of transmission, counted from the beginning of toe's week.
-    transmission_s = (e.transmission_ns - e.toe_ns + toe_ns) / NS_PER_SECOND
-    rows = (
-        e.clock,
-        (float(e.iode), e.crs_m, e.mean_motion_difference_rad_s, e.mean_anomaly_rad),
-        (e.cuc, e.eccentricity, e.cus, e.sqrt_a),
-        (toe_ns / NS_PER_SECOND, e.cic, e.ascending_node_rad, e.cis),
-        (e.inclination_rad, e.crc_m, e.perigee_rad, e.ascending_node_rate_rad_s),
-        (e.inclination_rate_rad_s, third, float(week), 0.0),
-        (accuracy_m, float(e.health), *delays),
-        (transmission_s, *last),
-    )
+    values = {
+        **{name: float(getattr(e, name)) for name in ("iode", "health", *ORBIT)},
+        **e.other,
+        **{"codes_on_l2": 1.0 if system == "G" else 2.0, "l2_p_data": 0.0, "": 0.0},
+        # −1: no accuracy prediction (table A8).
+        "accuracy_m": -1.0 if system == "E" and math.isnan(e.accuracy_m) else e.accuracy_m,
+        "week": float(week),
+        "toe_s": toe_ns / NS_PER_SECOND,
+        # Counted from the beginning of toe's week.
+        "transmission_s": (e.transmission_ns - e.toe_ns + toe_ns) / NS_PER_SECOND,
+    }
+    if system in "GJ":
+        # QZSS has a flag for more than two hours instead of hours (table A12).
+        fit_h = e.other["fit_interval_h"]
+        values["fit"] = fit_h if system == "G" else float(fit_h > 2.0)
+    rows = (e.clock, *([values[name] for name in row] for row in ROWS[system]))
     date = f"{c.year:4d} {c.month:02d} {c.day:02d} {c.hour:02d} {c.minute:02d} {c.second:02d}"
     heads = (f"{satellite_name(e.satellite)} {date}", *["    "] * 7)
     return "".join(f"{head}{''.join(map(_number, row))}\n" for head, row in zip(heads, rows, strict=True))

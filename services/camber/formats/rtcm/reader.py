@@ -5,13 +5,15 @@ Source: RTCM 10403.3, 4.2 (frame). No input raises: malformed content is counted
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
+from camber.formats.broadcast.bit_layouts import BitLayout, combine_parts, decode_layout
+from camber.formats.broadcast.ephemeris_fields import FIELDS, BitField, ephemeris_from_integers
 from camber.formats.observations import MAX_SATELLITE_NUMBER, OBSERVABLES, Ephemeris, ObservationEpoch
-from camber.formats.receiver.frame_buffer import FrameBuffer
+from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, msm_header, read_msm
@@ -19,6 +21,14 @@ from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 # Chosen, as bounds on memory: an epoch has 8 messages at most, a port one base station; beyond, the oldest goes.
 _MAX_MESSAGES, _MAX_STATIONS = 32, 16
+_NUMBER_BITS = 12  # of a message, 4.2
+# Messages 1005 and 1006: before a coordinate, in 0.1 mm, are two flags or reserved bits.
+_STATION: BitLayout = (_NUMBER_BITS, "station_id", 6 + 4, "x", 2, "y", 2, "z")
+_STATION_FIELDS = {
+    "station_id": BitField(12),
+    **dict.fromkeys("xyz", BitField(38, signed=True)),
+    "height": BitField(16),
+}
 # RINEX 3.04, table A8: F/NAV from E5a with the clock of E5a, E1; I/NAV from E1-B, E5b with that of E5b, E1.
 _DATA_SOURCES = {1045: 258.0, 1046: 517.0}
 
@@ -44,8 +54,8 @@ class BaseStationEpoch:
 RtcmResult = ReferenceStation | BaseStationEpoch | Ephemeris
 
 
-class RtcmDecoder:
-    """Decodes a stream; the results do not depend on how it is chunked.
+class RtcmDecoder(FramedDecoder[RtcmResult]):
+    """Decodes a stream.
 
     RTCM does not contain the week: `near_ns` (GPS time) must be within half a week of the first epoch, later ones
     follow the stream. `loss_of_lock` of the observations is derived from the lock time. An ephemeris'
@@ -53,6 +63,7 @@ class RtcmDecoder:
     """
 
     def __init__(self, near_ns: int) -> None:
+        super().__init__("rtcm")
         self.malformed = 0
         """Frames with a correct CRC whose content is inconsistent or truncated."""
         self.not_read = 0
@@ -61,29 +72,14 @@ class RtcmDecoder:
         """Cells of signals without a number in the standard's tables."""
         self.incomplete = 0
         """Epochs whose last message is missing."""
-        self._frames = FrameBuffer("rtcm")
         self._near_ns = near_ns
         self._messages: dict[int, list[MsmMessage]] = {}
         self._locks: dict[int, LossOfLockDetector] = {}
 
     @property
-    def bytes_skipped(self) -> int:
-        """Bytes that are not part of a frame with a correct CRC."""
-        return self._frames.bytes_skipped
-
-    @property
     def stations(self) -> int:
         """Base stations whose lock times are kept."""
         return len(self._locks)
-
-    @property
-    def failed_checks(self) -> int:
-        """Frames with a wrong CRC."""
-        return self._frames.failed_checks["rtcm"]
-
-    def feed(self, data: bytes) -> list[RtcmResult]:
-        """Return the results that the bytes complete, in order."""
-        return [result for frame in self._frames.feed(data) for result in self.take(frame.data)]
 
     def take(self, frame: bytes) -> list[RtcmResult]:
         """Return the results that a whole frame with a correct CRC completes."""
@@ -93,12 +89,11 @@ class RtcmDecoder:
             self.malformed += 1
             return []
 
-    def finish(self) -> list[RtcmResult]:
-        """Return the remaining results at the end of the stream, including epochs without their last message."""
-        results = [result for frame in self._frames.finish() for result in self.take(frame.data)]
-        for station in sorted(self._messages):
-            results.append(self._complete(station, complete=False))
-        return results
+    def _take(self, frame: Frame) -> list[RtcmResult]:
+        return self.take(frame.data)
+
+    def _end(self) -> list[RtcmResult]:
+        return [self._complete(station, complete=False) for station in sorted(self._messages)]
 
     def _decode(self, payload: bytes) -> list[RtcmResult]:
         if len(payload) < 2:
@@ -168,39 +163,26 @@ class RtcmDecoder:
         return BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)
 
 
-class _BitReader:
-    """Reads integers one after another."""
-
-    def __init__(self, payload: bytes) -> None:
-        self._bits = int.from_bytes(payload, "big")
-        self._left = 8 * len(payload)
-
-    def take(self, width: int, *, skip: int = 0, signed: bool = False) -> int:
-        """Return the integer after `skip` bits."""
-        self._left -= skip + width
-        if self._left < 0:
-            raise ValueError("message is cut short")
-        value = self._bits >> self._left & (1 << width) - 1
-        return value - (1 << width) if signed and value >> (width - 1) else value
+def _integers(payload: bytes, layout: BitLayout, fields: Mapping[str, BitField]) -> dict[str, int]:
+    bits = decode_layout(int.from_bytes(payload, "big"), 8 * len(payload), layout, fields)
+    return combine_parts([bits], fields)
 
 
 def _reference_station(payload: bytes, number: int) -> ReferenceStation:
-    bits = _BitReader(payload)
-    station_id = bits.take(12, skip=12)
-    bits.take(6 + 4 - 2)
-    # Two flags or reserved bits, then a coordinate.
-    x, y, z = (bits.take(38, skip=2, signed=True) * 1e-4 for _ in "xyz")
-    height_m = bits.take(16) * 1e-4 if number == 1006 else None
-    position_ecef_m = (x, y, z)
-    return ReferenceStation(station_id=station_id, position_ecef_m=position_ecef_m, antenna_height_m=height_m)
+    layout = _STATION if number == 1005 else (*_STATION, "height")
+    integers = _integers(payload, layout, _STATION_FIELDS)
+    x, y, z = (integers[axis] * 1e-4 for axis in "xyz")
+    return ReferenceStation(
+        station_id=integers["station_id"],
+        position_ecef_m=(x, y, z),
+        antenna_height_m=integers["height"] * 1e-4 if number == 1006 else None,
+    )
 
 
 def _ephemeris(payload: bytes, number: int, near_ns: int) -> Ephemeris:
     system, names, _ = EPHEMERIS_MESSAGES[number]
     fields = FIELDS[system]
-    bits = _BitReader(payload)
-    bits.take(12)
-    integers = {name: bits.take(fields[name].width, signed=fields[name].signed) for name in names}
+    integers = _integers(payload, (_NUMBER_BITS, *names), fields)
     if not 1 <= integers["satellite"] <= MAX_SATELLITE_NUMBER[system]:
         raise ValueError(f"satellite {integers['satellite']} of {system}")
     for time in ("toe_s", "toc_s"):

@@ -1,4 +1,4 @@
-"""NAV messages: the receiver's position, velocity, time, baseline, covariances and protection levels.
+"""NAV messages: the receiver's position, velocity, time, baseline, covariances and protection levels, by epoch.
 
 Source: u-blox ZED-F9P, interface description (UBX-18010854): 3.15.5 (NAV-COV), 3.15.7 (NAV-HPPOSLLH), 3.15.13
 (NAV-PVT), 3.15.14 (NAV-RELPOSNED); ZED-F9R (UBX-20039643), NAV-PL.
@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from camber.formats.receiver.solution import SolutionQuality
+from camber.formats.receiver.solution import Fields, ReceiverSolution, SolutionQuality
+from camber.formats.ubx.gps_week import navigation_time_ns, resolve_week_rollover
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 
@@ -21,20 +24,26 @@ PVT, HPPOSLLH, COV, RELPOSNED, PL, EOE = 0x07, 0x14, 0x36, 0x3C, 0x62, 0x61
 
 
 class _MessageLayout:
-    """Integers of a message by the interface description's names; one name for each that is not padding."""
+    """Values of a message by the interface description's names; one name for each that is not padding."""
 
-    def __init__(self, form: str, names: str) -> None:
+    def __init__(self, form: str, names: str, version: int = 0) -> None:
         self._struct = struct.Struct("<" + form)
         self._names = names.split()
-        self.size = self._struct.size
+        self._version = version
 
-    def unpack(self, payload: bytes) -> dict[str, int]:
-        return dict(zip(self._names, self._struct.unpack_from(payload), strict=True))
+    def unpack(self, payload: bytes) -> dict[str, Any]:
+        """Return the values; ValueError for another length or version."""
+        if len(payload) == self._struct.size:
+            values = dict(zip(self._names, self._struct.unpack(payload), strict=True))
+            if values.get("version", self._version) == self._version:
+                return values
+        expected = f"{self._struct.size} and version {self._version}"
+        raise ValueError(f"message of {len(payload)} bytes, expected {expected}")
 
 
 _OLD_PVT_BYTES, _PVT_BYTES = 84, 92
 _PVT = _MessageLayout(
-    "4xH6B4xi4B4i2I3i18xH",
+    "4xH6B4xi4B4i2I3i18xH12x",
     "year month day hour min sec valid nano fixType flags flags2 numSV"
     " lon lat height hMSL hAcc vAcc velN velE velD flags3",
 )
@@ -42,15 +51,22 @@ _HPPOSLLH = _MessageLayout(
     "B2xB4x4i4b2I", "version flags lon lat height hMSL lonHp latHp heightHp hMSLHp hAcc vAcc"
 )
 _RELPOSNED = _MessageLayout(
-    "2xH4x3i4xi4x3bx3I4xI4xI",
-    "refStationId relPosN relPosE relPosD relPosHeading relPosHPN relPosHPE relPosHPD accN accE accD accHeading flags",
+    "BxH4x3i4xi4x3bx3I4xI4xI",
+    "version refStationId relPosN relPosE relPosD relPosHeading relPosHPN relPosHPE relPosHPD"
+    " accN accE accD accHeading flags",
+    version=1,
 )
 _OLD_RELPOSNED = _MessageLayout(
-    "2xH4x3i3bx3II",
-    "refStationId relPosN relPosE relPosD relPosHPN relPosHPE relPosHPD accN accE accD flags",
+    "BxH4x3i3bx3II",
+    "version refStationId relPosN relPosE relPosD relPosHPN relPosHPE relPosHPD accN accE accD flags",
 )
-_PL = _MessageLayout("BBb2B11x3I24x", "version tmirCoeff tmirExp plPosValid plPosFrame plPos1 plPos2 plPos3")
-_COV = struct.Struct("<4x3B9x12f")
+_PL = _MessageLayout(
+    "BBb2B11x3I24x", "version tmirCoeff tmirExp plPosValid plPosFrame plPos1 plPos2 plPos3", version=1
+)
+_COV = _MessageLayout(
+    "4x3B9x12f",
+    "version posCovValid velCovValid posNN posNE posND posEE posED posDD velNN velNE velND velEE velED velDD",
+)
 UNKNOWN_ACCURACY = 0xFFFFFFFF  # reported by receivers; the interface description does not define it
 AGES_S = (math.nan, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 120.0)
 """Greatest age by `lastCorrectionAge`; 0 is "not available", 12 is older than the last."""
@@ -79,49 +95,17 @@ class ReceiverBaseline:
     heading_sigma_rad: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class ProtectionLevels:
-    """NAV-PL: horizontal and vertical level, and the probability that one is exceeded. None: invalid."""
-
-    levels_m: tuple[float, float] | None
-    risk: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NavPosition:
-    """A position, its horizontal accuracy √(σ_e² + σ_n²) and vertical accuracy, None where unknown."""
-
-    latitude_rad: float
-    longitude_rad: float
-    height_m: float
-    horizontal_m: float | None
-    vertical_m: float | None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionVelocityTime:
-    """NAV-PVT, in the units of `ReceiverSolution`. `near_ns` is its UTC to the second, `nanosecond` the fraction.
+    """NAV-PVT. `near_ns` is its UTC to the second, `nanosecond` the fraction; `integrity` what it says of the fix.
 
-    `quality` is None where the receiver has no valid position in three dimensions.
+    `solution` is empty where the receiver has no valid position in three dimensions.
     """
 
     near_ns: int | None
     nanosecond: int | None
-    within_masks: bool
-    authenticated: bool
-    quality: SolutionQuality | None
-    satellites: int
-    position: NavPosition
-    velocity_enu_m_s: _Vector
-    age_s: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Covariances:
-    """Covariances (ee, en, eu, nn, nu, uu) of position and velocity; None where invalid."""
-
-    position_m2: EnuCovariance | None
-    velocity_m2_s2: EnuCovariance | None
+    integrity: Fields
+    solution: Fields
 
 
 def time_of_week_ms(message_id: int, payload: bytes) -> int:
@@ -136,14 +120,9 @@ def read_position_velocity_time(payload: bytes) -> PositionVelocityTime:
     """Decode NAV-PVT, also without its last fields (receivers of generation 7); ValueError where malformed."""
     if len(payload) != _OLD_PVT_BYTES and len(payload) < _PVT_BYTES:
         raise ValueError(f"NAV-PVT of {len(payload)} bytes, expected {_OLD_PVT_BYTES} or {_PVT_BYTES}")
-    values = _PVT.unpack(payload)
+    values = _PVT.unpack(payload[:_PVT_BYTES].ljust(_PVT_BYTES, b"\0"))
     flags, flags3 = values["flags"], values["flags3"] if len(payload) >= _PVT_BYTES else 0
     fix_type, within_masks = values["fixType"], bool(flags & 1)
-    quality = None
-    if fix_type in _POSITION_TYPES and within_masks and not flags3 & 1:
-        quality = _quality(flags >> 6, differential=bool(flags & 2))
-        if fix_type == _DEAD_RECKONING:
-            quality = SolutionQuality.DEAD_RECKONING
     near_ns = None
     # The date and the time are valid.
     if values["valid"] & 0b11 == 0b11:
@@ -151,32 +130,30 @@ def read_position_velocity_time(payload: bytes) -> PositionVelocityTime:
         day = values["year"], values["month"], values["day"]
         near_ns = gps_ns_from_utc(CalendarTime(*day, values["hour"], values["min"], min(values["sec"], 59)))
     age = flags3 >> 1 & 0b1111
+    solution = _position(values, [values[name] for name in ("lat", "lon", "height")], 1e7, 1e3)
+    solution |= {
+        "quality": _quality(flags >> 6, differential=bool(flags & 2)),
+        "satellites": values["numSV"],
+        "velocity_enu_m_s": (values["velE"] / 1e3, values["velN"] / 1e3, -values["velD"] / 1e3),
+        "age_s": AGES_S[age] if 0 < age < len(AGES_S) else None,
+    }
+    if fix_type == _DEAD_RECKONING:
+        solution["quality"] = SolutionQuality.DEAD_RECKONING
     return PositionVelocityTime(
         near_ns=near_ns,
         nanosecond=values["nano"] if values["valid"] & 0b10 else None,
-        within_masks=within_masks,
-        authenticated=bool(flags3 >> 14 & 1),
-        quality=quality,
-        satellites=values["numSV"],
-        position=_position(
-            latitude_deg=values["lat"] / 1e7,
-            longitude_deg=values["lon"] / 1e7,
-            height_m=values["height"] / 1e3,
-            horizontal_m=_accuracy_m(values["hAcc"], 1e3),
-            vertical_m=_accuracy_m(values["vAcc"], 1e3),
-        ),
-        velocity_enu_m_s=(values["velE"] / 1e3, values["velN"] / 1e3, -values["velD"] / 1e3),
-        age_s=AGES_S[age] if 0 < age < len(AGES_S) else None,
+        # Not authenticated is unknown: receivers that cannot check report the same.
+        integrity={
+            "fix_within_masks": "yes" if within_masks else "no",
+            "authenticated": "yes" if flags3 >> 14 & 1 else "unknown",
+        },
+        solution=solution if fix_type in _POSITION_TYPES and within_masks and not flags3 & 1 else {},
     )
 
 
 def read_baseline(payload: bytes) -> ReceiverBaseline | None:
     """Decode NAV-RELPOSNED, versions 0 and 1, with `time_ns` 0; None without a baseline. ValueError where malformed."""
-    version = payload[0] if payload else None
-    layout = _OLD_RELPOSNED if version == 0 else _RELPOSNED
-    if version not in (0, 1) or len(payload) != layout.size:
-        raise ValueError(f"NAV-RELPOSNED, version {version}, of {len(payload)} bytes")
-    values = layout.unpack(payload)
+    values = (_OLD_RELPOSNED if payload[:1] == b"\0" else _RELPOSNED).unpack(payload)
     flags = values["flags"]
     # The position is within the receiver's masks, and the vector is valid.
     if flags & 0b101 != 0b101:
@@ -186,7 +163,7 @@ def read_baseline(payload: bytes) -> ReceiverBaseline | None:
         (values[f"relPos{axis}"] * 100 + values[f"relPosHP{axis}"]) / 1e4 for axis in "NED"
     )
     sigma_enu_m = values["accE"] / 1e4, values["accN"] / 1e4, values["accD"] / 1e4
-    normalized, has_heading = bool(flags & 1 << 9), bool(flags & 1 << 8) and version == 1
+    normalized, has_heading = bool(flags & 1 << 9), bool(flags & 1 << 8) and values["version"] == 1
     return ReceiverBaseline(
         time_ns=0,
         station_id=values["refStationId"],
@@ -199,48 +176,96 @@ def read_baseline(payload: bytes) -> ReceiverBaseline | None:
     )
 
 
-def read_protection_levels(payload: bytes) -> ProtectionLevels:
-    """Decode NAV-PL, version 1; ValueError where it is malformed.
+def read_protection_levels(payload: bytes) -> Fields:
+    """Decode NAV-PL, version 1, to fields of `ReceiverIntegrity`; ValueError where it is malformed.
 
     The horizontal level is the radius of a circle: √(a² + b²) of levels along two axes, the longer axis of an ellipse.
     """
-    if len(payload) != _PL.size or payload[0] != 1:
-        raise ValueError(f"NAV-PL of {len(payload)} bytes, expected {_PL.size} and version 1")
     values = _PL.unpack(payload)
     # Percent of misleading information per epoch and axis.
     risk = values["tmirCoeff"] * 10.0 ** values["tmirExp"] / 100.0
-    if values["plPosValid"] != 1 or values["plPosFrame"] not in (1, 2, 3):
-        return ProtectionLevels(None, None)
-    first_m, second_m = values["plPos1"] / 1e3, values["plPos2"] / 1e3
-    horizontal_m = max(first_m, second_m) if values["plPosFrame"] == 3 else math.hypot(first_m, second_m)
-    return ProtectionLevels((horizontal_m, values["plPos3"] / 1e3), risk if 0.0 < risk <= 1.0 else None)
+    horizontal_m = vertical_m = None
+    if values["plPosValid"] == 1 and values["plPosFrame"] in (1, 2, 3):
+        first_m, second_m, vertical_m = (values[f"plPos{axis}"] / 1e3 for axis in (1, 2, 3))
+        horizontal_m = max(first_m, second_m) if values["plPosFrame"] == 3 else math.hypot(first_m, second_m)
+    return {
+        "horizontal_protection_level_m": horizontal_m,
+        "vertical_protection_level_m": vertical_m,
+        "integrity_risk": risk if horizontal_m is not None and 0.0 < risk <= 1.0 else None,
+    }
 
 
-def read_high_precision_position(payload: bytes) -> NavPosition | None:
-    """Decode NAV-HPPOSLLH; None where the receiver reports it as invalid. ValueError where it is malformed."""
-    if len(payload) != _HPPOSLLH.size or payload[0] != 0:
-        raise ValueError(f"NAV-HPPOSLLH of {len(payload)} bytes, expected {_HPPOSLLH.size} and version 0")
+def read_high_precision_position(payload: bytes) -> Fields:
+    """Decode NAV-HPPOSLLH; empty where the receiver reports it as invalid. ValueError where it is malformed."""
     values = _HPPOSLLH.unpack(payload)
     if values["flags"] & 1:
-        return None
-    return _position(
-        latitude_deg=(values["lat"] * 100 + values["latHp"]) / 1e9,
-        longitude_deg=(values["lon"] * 100 + values["lonHp"]) / 1e9,
-        height_m=(values["height"] * 10 + values["heightHp"]) / 1e4,
-        horizontal_m=_accuracy_m(values["hAcc"], 1e4),
-        vertical_m=_accuracy_m(values["vAcc"], 1e4),
-    )
+        return {}
+    units = (("lat", 100), ("lon", 100), ("height", 10))
+    return _position(values, [values[name] * unit + values[f"{name}Hp"] for name, unit in units], 1e9, 1e4)
 
 
-def read_covariances(payload: bytes) -> Covariances:
-    """Decode NAV-COV, rotated from north, east, down; ValueError where it is malformed or not a covariance."""
-    if len(payload) != _COV.size or payload[4] != 0:
-        raise ValueError(f"NAV-COV of {len(payload)} bytes, expected {_COV.size} and version 0")
-    _, position_valid, velocity_valid, *values = _COV.unpack(payload)
-    return Covariances(
-        _enu_from_ned(values[:6]) if position_valid == 1 else None,
-        _enu_from_ned(values[6:]) if velocity_valid == 1 else None,
-    )
+def read_covariances(payload: bytes) -> Fields:
+    """Decode the valid covariances of NAV-COV; ValueError where it is malformed or not a covariance."""
+    values = _COV.unpack(payload)
+    kinds = (("pos", "covariance_enu_m2"), ("vel", "velocity_covariance_enu_m2_s2"))
+    covariances = {
+        field: _enu_from_ned([values[kind + axes] for axes in ("NN", "NE", "ND", "EE", "ED", "DD")])
+        for kind, field in kinds
+        if values[f"{kind}CovValid"] == 1
+    }
+    return {field: covariance for field, covariance in covariances.items() if covariance is not None}
+
+
+class NavigationEpoch:
+    """The messages received so far with one `iTOW`."""
+
+    def __init__(self, of_week_ms: int) -> None:
+        self.of_week_ms = of_week_ms
+        self.integrity: dict[str, Fields] = {}
+        """What NAV-PVT (`fix`) and NAV-PL (`protection`) say."""
+        self.baseline: ReceiverBaseline | None = None
+        """Its time is not set yet."""
+        self._pvt: PositionVelocityTime | None = None
+        self._high_precision: Fields = {}
+        self._covariances: Fields = {}
+
+    def take(self, message_id: int, payload: bytes) -> None:
+        """Decode one message of this epoch; ValueError where it is malformed."""
+        if message_id == PVT:
+            self._pvt = read_position_velocity_time(payload)
+            self.integrity["fix"] = self._pvt.integrity
+        elif message_id == HPPOSLLH:
+            self._high_precision = read_high_precision_position(payload)
+        elif message_id == COV:
+            self._covariances = read_covariances(payload)
+        elif message_id == PL:
+            self.integrity["protection"] = read_protection_levels(payload)
+        else:
+            self.baseline = read_baseline(payload)
+
+    def time_ns(self, near_ns: int | None, reference_ns: int | None) -> int | None:
+        """Return the time to ms, with NAV-PVT to ns; None where the week is unknown. ValueError for impossible times.
+
+        Without a date the week is nearest to `near_ns`; a date may be wrong by whole roll-overs, which `reference_ns`
+        resolves.
+        """
+        if self._pvt is not None and self._pvt.near_ns is not None:
+            near_ns = resolve_week_rollover(self._pvt.near_ns, reference_ns)
+        if near_ns is None:
+            return None
+        return navigation_time_ns(self.of_week_ms, near_ns, self._pvt.nanosecond if self._pvt else None)
+
+    @property
+    def lacks_position(self) -> bool:
+        """Whether the receiver has no valid position, or reports one without NAV-PVT, which contains its quality."""
+        return bool(self._high_precision) if self._pvt is None else not self._pvt.solution
+
+    def solution(self, time_ns: int) -> ReceiverSolution | None:
+        """Return the position of NAV-PVT, with what NAV-HPPOSLLH and then NAV-COV know better."""
+        if self._pvt is None or not self._pvt.solution:
+            return None
+        better = {**self._high_precision, **self._covariances}
+        return ReceiverSolution(time_ns=time_ns, **(self._pvt.solution | better))
 
 
 def _quality(carrier: int, *, differential: bool) -> SolutionQuality:
@@ -252,28 +277,29 @@ def _quality(carrier: int, *, differential: bool) -> SolutionQuality:
 
 
 def _position(
-    *,
-    latitude_deg: float,
-    longitude_deg: float,
-    height_m: float,
-    horizontal_m: float | None,
-    vertical_m: float | None,
-) -> NavPosition:
+    values: Mapping[str, int], coordinates: Sequence[int], per_degree: float, per_m: float
+) -> Fields:
+    """Return latitude, longitude and height, with the covariance that `hAcc` and `vAcc` allow to assume.
+
+    `hAcc` is √(σ_e² + σ_n²) (checked against NAV-COV in recordings): σ_e and σ_n are assumed equal and uncorrelated.
+    All ones, and zero, which no receiver means, are unknown.
+    """
+    latitude_deg, longitude_deg = coordinates[0] / per_degree, coordinates[1] / per_degree
+    height_m = coordinates[2] / per_m
     in_range = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
     if not (in_range and _MIN_HEIGHT_M <= height_m <= _MAX_HEIGHT_M):
         raise ValueError(f"position {latitude_deg}°, {longitude_deg}°, {height_m} m")
-    return NavPosition(
-        latitude_rad=math.radians(latitude_deg),
-        longitude_rad=math.radians(longitude_deg),
-        height_m=height_m,
-        horizontal_m=horizontal_m,
-        vertical_m=vertical_m,
-    )
-
-
-def _accuracy_m(value: int, per_m: float) -> float | None:
-    """Return the accuracy; None for all ones and for zero, which no receiver means."""
-    return value / per_m if 0 < value < UNKNOWN_ACCURACY else None
+    covariance = None
+    if all(0 < values[name] < UNKNOWN_ACCURACY for name in ("hAcc", "vAcc")):
+        horizontal_m, vertical_m = values["hAcc"] / per_m, values["vAcc"] / per_m
+        axis = 0.5 * horizontal_m * horizontal_m
+        covariance = axis, 0.0, 0.0, axis, 0.0, vertical_m * vertical_m
+    return {
+        "latitude_rad": math.radians(latitude_deg),
+        "longitude_rad": math.radians(longitude_deg),
+        "height_m": height_m,
+        "covariance_enu_m2": covariance,
+    }
 
 
 def _enu_from_ned(covariance: list[float]) -> EnuCovariance | None:

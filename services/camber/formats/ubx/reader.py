@@ -11,13 +11,12 @@ from dataclasses import replace
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris
-from camber.formats.receiver.frame_buffer import FrameBuffer
-from camber.formats.receiver.integrity_report import IntegrityReport
+from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
+from camber.formats.receiver.integrity_report import JAMMING, IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.ubx import nav_reader as nav
 from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler, SubframeWords
-from camber.formats.ubx.nav_epochs import NavigationEpoch
 from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
@@ -30,6 +29,7 @@ UbxResult = (
     | ReceiverIntegrity
 )
 _NAV, _RXM, _MON, _SEC = 0x01, 0x02, 0x0A, 0x27
+_SPOOFING = ("unknown", "none", "indicated", "affirmed")
 _NAVIGATION_IDS = {nav.PVT, nav.HPPOSLLH, nav.COV, nav.RELPOSNED, nav.PL, nav.EOE}
 
 
@@ -70,7 +70,7 @@ class UbxMessages:
         self._report = IntegrityReport() if report is None else report
         self._locks = LossOfLockDetector()
         self._subframes = EphemerisAssembler()
-        self._epoch: NavigationEpoch | None = None
+        self._epoch: nav.NavigationEpoch | None = None
         self._ended_ms: int | None = None
         self._report_changed = False
 
@@ -127,10 +127,9 @@ class UbxMessages:
             self.without_time += 1
             return []
         if message_class == _SEC:
-            jamming, spoofing = _signal_security(payload)
-            self._report.update_signal_security(time_ns, jamming=jamming, spoofing=spoofing)
+            self._report.update("signals", time_ns, _signal_security(payload))
         else:
-            self._report.update_front_ends(time_ns, _front_end_jamming(payload))
+            self._report.update("front_ends", time_ns, {"jamming": _front_end_jamming(payload)})
         self._report_changed = True
         # Within an epoch the report is returned at its end.
         return [] if epoch is not None else self._integrity_report(time_ns)
@@ -145,7 +144,7 @@ class UbxMessages:
                 self.late += 1
                 return []
             results = self._end_epoch()
-            self._epoch = NavigationEpoch(of_week_ms)
+            self._epoch = nav.NavigationEpoch(of_week_ms)
         self.has_positions |= message_id == nav.PVT
         try:
             self._epoch.take(message_id, payload)
@@ -168,16 +167,13 @@ class UbxMessages:
             return []
         self.near_ns = time_ns
         self.epochs_without_position += epoch.lacks_position
-        pvt, protection = epoch.pvt, epoch.protection
-        if pvt is not None:
-            self._report.update_fix(time_ns, within_masks=pvt.within_masks, authenticated=pvt.authenticated)
-        if protection is not None:
-            self._report.update_protection_levels(time_ns, protection.levels_m, protection.risk)
+        for kind, fields in epoch.integrity.items():
+            self._report.update(kind, time_ns, fields)
         solution, baseline = epoch.solution(time_ns), epoch.baseline
         results: list[UbxResult] = [] if solution is None else [solution]
         if baseline is not None:
             results.append(replace(baseline, time_ns=time_ns))
-        if self._report_changed or pvt is not None or protection is not None:
+        if self._report_changed or epoch.integrity:
             results += self._integrity_report(time_ns)
         return results
 
@@ -186,38 +182,24 @@ class UbxMessages:
         return [*self._report.at(time_ns)]
 
 
-class UbxDecoder:
-    """Decodes a stream; the results do not depend on how it is chunked."""
+class UbxDecoder(FramedDecoder[UbxResult]):
+    """Decodes a stream."""
 
     def __init__(self, source_name: str, near_ns: int | None = None) -> None:
+        super().__init__("ubx")
         self.source_name = source_name
         self.messages = UbxMessages(near_ns)
         """With the counters of the messages."""
-        self._frames = FrameBuffer("ubx")
 
-    @property
-    def bytes_skipped(self) -> int:
-        """Bytes that are not part of a frame with a correct checksum."""
-        return self._frames.bytes_skipped
+    def _take(self, frame: Frame) -> list[UbxResult]:
+        return self.messages.take(frame.data)
 
-    @property
-    def failed_checks(self) -> int:
-        """Frames with a wrong checksum."""
-        return self._frames.failed_checks["ubx"]
-
-    def feed(self, data: bytes) -> list[UbxResult]:
-        """Return the results that the bytes complete, in order. Never raises; keeps at most a frame and an epoch."""
-        return [result for frame in self._frames.feed(data) for result in self.messages.take(frame.data)]
-
-    def finish(self) -> list[UbxResult]:
-        """Return the remaining results at the end of the stream."""
-        frames = self._frames.finish()
-        results = [result for frame in frames for result in self.messages.take(frame.data)]
-        return results + self.messages.finish()
+    def _end(self) -> list[UbxResult]:
+        return self.messages.finish()
 
 
-def _signal_security(payload: bytes) -> tuple[int, int]:
-    """Return the states of jamming and spoofing of SEC-SIG, versions 1 and 2; 0 where detection is disabled."""
+def _signal_security(payload: bytes) -> dict[str, str]:
+    """Return the states of jamming and spoofing of SEC-SIG, versions 1 and 2; unknown where detection is disabled."""
     version = payload[0] if payload else None
     if version == 1 and len(payload) >= 12:
         jamming, spoofing = payload[4], payload[8]
@@ -225,11 +207,17 @@ def _signal_security(payload: bytes) -> tuple[int, int]:
         jamming, spoofing = payload[1] & 0b111, payload[1] >> 3
     else:
         raise ValueError(f"SEC-SIG, version {version}, of {len(payload)} bytes")
-    return (jamming >> 1 & 0b11) * (jamming & 1), (spoofing >> 1 & 0b111) * (spoofing & 1)
+    state = (spoofing >> 1 & 0b111) * (spoofing & 1)
+    return {
+        "jamming": JAMMING[(jamming >> 1 & 0b11) * (jamming & 1)],
+        "spoofing": _SPOOFING[state] if state < len(_SPOOFING) else "unknown",
+    }
 
 
-def _front_end_jamming(payload: bytes) -> list[int]:
-    """Return the jamming state of each block of MON-RF, version 0."""
+def _front_end_jamming(payload: bytes) -> str:
+    """Return the worst jamming state of the blocks of MON-RF, version 0; with one unknown, its absence is unknown."""
     if len(payload) < 4 or payload[0] != 0 or len(payload) != 4 + 24 * payload[1]:
         raise ValueError(f"MON-RF of {len(payload)} bytes")
-    return [payload[4 + 24 * block + 1] & 0b11 for block in range(payload[1])]
+    states = [payload[4 + 24 * block + 1] & 0b11 for block in range(payload[1])]
+    worst = max(states, default=0)
+    return JAMMING[worst if worst > 1 or 0 not in states else 0]

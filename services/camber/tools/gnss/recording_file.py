@@ -14,7 +14,7 @@ from typing import Literal
 
 from camber.formats.broadcast.ephemeris_fields import FIELDS, GNSS_TIME_SCALES
 from camber.formats.errors import FormatError
-from camber.formats.nmea.framing import Sentence, parse_sentence
+from camber.formats.nmea.sentences import Sentence, parse_sentence
 from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder, MixedResult
 from camber.formats.receiver.rtklib_pos import PosDecoder

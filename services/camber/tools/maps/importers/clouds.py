@@ -17,8 +17,7 @@ import numpy as np
 from camber.formats.drive.truth_csv import read_truth
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.las import read_las
-from camber.formats.map_exchange.pcd import cloud_from_pcd, sweep_time_ns
-from camber.formats.map_exchange.pcd_header import read_header
+from camber.formats.map_exchange.pcd import cloud_from_pcd, read_header, sweep_time_ns
 from camber.formats.map_exchange.ply import read_ply
 from camber.formats.map_exchange.vertical_datum import ELLIPSOIDAL, VerticalDatum, crs_of
 from camber.geodesy.local_frame import LocalFrame
