@@ -69,6 +69,13 @@ def random_epoch(
     )
 
 
+def random_toe_ns(rng: np.random.Generator, name: str, week: int) -> int:
+    """A reference time of a satellite's ephemeris, often at the beginning or the end of its system's week."""
+    step = {"C": 8, "E": 60}.get(name[0], 16)
+    second = int(rng.choice([0, 604_800 - step, int(rng.integers(0, 604_800 // step)) * step]))
+    return week * WEEK_NS + (second + (14 if name[0] == "C" else 0)) * SECOND_NS
+
+
 def random_ephemeris(rng: np.random.Generator, name: str, toe_ns: int) -> Ephemeris:
     """Every field within the range of its system, often near the limit."""
 

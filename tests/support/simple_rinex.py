@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from camber.formats.observations import ObservationEpoch, satellite_name, signal_name
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 
+ATTRIBUTES = {"C": "pseudorange_m", "L": "carrier_phase_cycles", "D": "doppler_hz", "S": "cn0_dbhz"}
 Values = dict[tuple[str, str], tuple[float, str, str]]
 
 
@@ -40,3 +44,24 @@ def epochs_of(text: str) -> Iterator[tuple[int, Values]]:
                     values[line[:3], name] = float(cell[:14]), cell[14], cell[15]
         time = CalendarTime(*fields, int(whole), int(fraction) * 100)
         yield gps_ns_from_gpst(time), values
+
+
+def assert_equal_to_simple_reader(epochs: Sequence[ObservationEpoch], text: str) -> int:
+    """Compare every value of the supported systems, zeros left out; return how many there are."""
+    expected, count = list(epochs_of(text)), 0
+    assert [epoch.time_ns for epoch in epochs] == [time_ns for time_ns, _ in expected]
+    for epoch, (_, values) in zip(epochs, expected, strict=True):
+        rows: dict[tuple[str, str], dict[str, tuple[float, str]]] = {}
+        for (satellite, name), (value, lli, _) in values.items():
+            if satellite[0] in "GJEC" and name[0] in ATTRIBUTES and value != 0.0:
+                rows.setdefault((satellite, name[1:]), {})[name[0]] = value, lli.strip()
+        names = map(satellite_name, epoch.satellite.tolist())
+        keys = list(zip(names, map(signal_name, epoch.signal.tolist()), strict=True))
+        assert sorted(keys) == sorted(rows)
+        for k, row in enumerate(rows[key] for key in keys):
+            decoded = [getattr(epoch, attribute)[k] for attribute in ATTRIBUTES.values()]
+            np.testing.assert_array_equal(decoded, [row.get(kind, (np.nan,))[0] for kind in ATTRIBUTES])
+            lock = int(row["L"][1] or "0") if "L" in row else 0
+            assert (epoch.loss_of_lock[k], epoch.half_cycle[k]) == (lock & 1 == 1, lock & 2 == 2)
+            count += len(row)
+    return count

@@ -143,10 +143,3 @@ def test_an_invalid_recording_is_one_clear_error(data: bytes, expected: str) -> 
     assert len(results) == 1
     assert isinstance(results[0], FormatError)
     assert str(results[0]).startswith(expected)
-
-
-def test_the_result_does_not_depend_on_the_chunks() -> None:
-    data = recording(SMALL, LARGE, SMALL)
-    decoder = PcapDecoder("x.pcap")
-    results = [each for k in range(0, len(data), 7) for each in decoder.feed(data[k : k + 7])]
-    assert results + decoder.finish() == [SMALL, LARGE, SMALL]

@@ -17,7 +17,8 @@ from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, fo
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
 from camber.schemas.base import LATEST_NS
-from support.gnss_files import comparable, fed_in_pieces, read_pos, recording
+from support.gnss_files import comparable, read_pos, recording
+from support.random_solutions import VELOCITIES, solutions
 
 DATUM = (
     "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)\n"
@@ -158,14 +159,6 @@ def test_rows_without_a_header_are_refused_once() -> None:
     assert "WGS84/ellipsoidal" in error_of(COLUMNS + ROW * 3)
 
 
-def test_undeclared_heights_may_be_declared_but_not_overridden() -> None:
-    decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
-    assert isinstance(decoder.feed((COLUMNS + ROW).encode())[0], ReceiverSolution)
-    decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
-    results = decoder.feed((DATUM.replace("ellipsoidal", "geodetic") + COLUMNS + ROW).encode())
-    assert [type(result) for result in results] == [FormatError]
-
-
 def test_a_second_header_replaces_the_first() -> None:
     results = decode(
         DATUM.replace("ellipsoidal", "geodetic") + COLUMNS + ROW + DATUM + VELOCITY_COLUMNS + VELOCITY_ROW
@@ -230,45 +223,41 @@ def test_last_line_without_newline_is_an_error() -> None:
     assert "a newline at its end" in error_of(DATUM + COLUMNS + ROW[:-1])
 
 
-coordinates = st.floats(-math.pi / 2, math.pi / 2)
 # From a hundred printed digits on: rounding leaves a covariance of these correlations (below 0.9) positive definite.
 deviations = st.floats(0.01, 50.0)
 small_deviations = st.floats(1e-4, 50.0)
-# Correlations of a product of rotations are always those of a covariance.
 factors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
+Three = tuple[float, float, float]
 
 
-def covariance_from(
-    scale: tuple[float, float, float], factor: list[float]
-) -> tuple[float, float, float, float, float, float]:
-    rows = [factor[0:3], factor[3:6], factor[6:9]]
+def covariance_from(scale: Three, factor: list[float], share: float = 0.5) -> tuple[float, ...]:
+    """Of factors (3, 3), and a share of the unit matrix that keeps the correlations away from one."""
+    rows = np.array(factor).reshape(3, 3)
+    covariance = np.outer(scale, scale) * (rows @ rows.T + share * np.eye(3))
+    return tuple(covariance[np.triu_indices(3)].tolist())
 
-    def entry(i: int, j: int) -> float:
-        shared = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
-        return scale[i] * scale[j] * (shared + (0.5 if i == j else 0.0))
 
-    return entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)
+def nearly_singular(scale: Three, factor: list[float], noise: float) -> tuple[float, ...]:
+    """The third row is, but for the noise, the difference of the others."""
+    third = [a - b + noise * c for a, b, c in zip(factor[:3], factor[3:6], factor[6:], strict=True)]
+    return covariance_from(scale, factor[:6] + third, share=0.0)
 
 
 covariances = st.builds(covariance_from, st.tuples(deviations, deviations, deviations), factors)
-velocities = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
-solutions = st.builds(
-    ReceiverSolution,
-    time_ns=st.integers(0, LATEST_NS),
-    latitude_rad=coordinates,
-    longitude_rad=st.floats(-math.pi, math.pi),
-    height_m=st.floats(-500.0, 9000.0),
-    quality=st.sampled_from(SolutionQuality),
-    satellites=st.integers(1, 60),
-    covariance_enu_m2=st.none() | covariances,
-    age_s=st.floats(0.01, 60.0),
-    ratio=st.none() | st.floats(1.0, 999.0),
-    velocity_enu_m_s=velocities,
-    velocity_covariance_enu_m2_s2=st.none() | covariances,
+
+
+@given(
+    solutions(
+        time_ns=st.integers(0, LATEST_NS),
+        satellites=st.integers(1, 60),
+        covariance_enu_m2=st.none() | covariances,
+        age_s=st.floats(0.01, 60.0),
+        ratio=st.none() | st.floats(1.0, 999.0),
+        velocity_enu_m_s=VELOCITIES,
+        velocity_covariance_enu_m2_s2=st.none() | covariances,
+    ),
+    st.booleans(),
 )
-
-
-@given(solutions, st.booleans())
 def test_written_solutions_read_back(solution: ReceiverSolution, velocity: bool) -> None:
     text = format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
     (again,) = decode(text)
@@ -301,7 +290,12 @@ def assert_close_covariance(
         assert a == pytest.approx(b, abs=20.0 * largest * last_digit)  # d(s²) = 2 s ds
 
 
-@given(st.builds(covariance_from, st.tuples(*[small_deviations] * 3), factors))
+@given(
+    st.builds(covariance_from, st.tuples(*[small_deviations] * 3), factors)
+    | st.builds(
+        nearly_singular, st.tuples(*[small_deviations] * 3), factors, st.sampled_from([0.0, 0.001, 0.3])
+    )
+)
 @example((1.5, 1.0, -7.5e-05, 3.5, -0.0002, 1.875e-08))
 def test_a_covariance_near_the_last_digit_stays_one_with_the_same_variances(covariance) -> None:
     solution = replace(SOMEWHERE, covariance_enu_m2=covariance)
@@ -337,17 +331,6 @@ SAMPLE = (
 ).encode()
 
 
-@given(st.binary(max_size=3000))
-def test_random_bytes_never_raise(data: bytes) -> None:
-    decode(data)
-    decode(SAMPLE + data + SAMPLE)
-
-
-@given(st.text(alphabet="%0123456789.,-+eE/: \t\nnaifGPSTUC_(m)", max_size=400))
-def test_random_text_never_raises(text: str) -> None:
-    decode(DATUM + COLUMNS + text + "\n" + ROW)
-
-
 @given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
 def test_flipped_bit_never_raises_or_gives_nonfinite_numbers(byte: int, bit: int) -> None:
     damaged = bytearray(SAMPLE)
@@ -363,14 +346,6 @@ def test_truncation_gives_a_prefix_and_at_most_one_error_more(length: int) -> No
     complete = [result for result in part if "newline at its end" not in str(result)]
     assert complete == whole[: len(complete)]
     assert len(part) - len(complete) <= 1
-
-
-@given(st.binary(max_size=2500), st.lists(st.integers(0, 4000), max_size=8))
-@example(b"8" * 1500, list(range(10_000)))
-def test_results_do_not_depend_on_chunks(noise: bytes, cuts: list[int]) -> None:
-    data = SAMPLE + noise + b"\n" + SAMPLE
-    results = fed_in_pieces(PosDecoder("rover.pos"), data, cuts)
-    assert comparable(results) == comparable(decode(data))
 
 
 @pytest.fixture
@@ -403,30 +378,15 @@ def test_week_and_date_times_of_recordings_agree(nagoya: Path) -> None:
         {s.time_ns: s for s in read_pos(nagoya / name) if isinstance(s, ReceiverSolution) and s.quality == 1}
         for name in ("rover_rtk.pos", "rover_1Hz_rtk.pos")
     )
-    common = weeks.keys() & dates.keys()
-    differences_m = sorted(
-        6.4e6
-        * math.hypot(
-            weeks[t].latitude_rad - dates[t].latitude_rad, weeks[t].longitude_rad - dates[t].longitude_rad
-        )
-        for t in common
-    )
+    common = sorted(weeks.keys() & dates.keys())
+    places = [[(of[t].latitude_rad, of[t].longitude_rad) for t in common] for of in (weeks, dates)]
     assert len(common) > 50
-    assert differences_m[len(differences_m) * 9 // 10] < 0.05
+    assert np.quantile(6.4e6 * np.hypot(*np.subtract(*places).T), 0.9) < 0.05
 
 
 def test_rewritten_recording_is_the_same(nagoya: Path) -> None:
     original = [s for s in read_pos(nagoya / "rover_rtk.pos") if isinstance(s, ReceiverSolution)]
     again = decode(format_pos_header() + b"".join(format_pos_line(solution) for solution in original))
     for a, b in zip(again, original, strict=True):
-        for name in (
-            "time_ns",
-            "quality",
-            "satellites",
-            "age_s",
-            "ratio",
-            "latitude_rad",
-            "longitude_rad",
-            "height_m",
-        ):
-            assert getattr(a, name) == getattr(b, name)
+        # Covariances are printed as rounded roots.
+        assert replace(a, covariance_enu_m2=None) == replace(b, covariance_enu_m2=None)

@@ -36,29 +36,6 @@ def epoch(number: int, rng: np.random.Generator) -> ObservationEpoch:
     )
 
 
-def test_written_observations_equal_an_independent_reader():
-    rng = np.random.default_rng(5)
-    written = [epoch(k, rng) for k in range(4)]
-    text = observation_text(written, STATION)
-    _, types = header_of(text)
-    epochs = list(epochs_of(text))
-    assert {s: len(t) for s, t in types.items()} == {"G": 8, "J": 4, "E": 4, "C": 8}
-    assert [time_ns for time_ns, _ in epochs] == [e.time_ns for e in written]
-    for e, (_, values) in zip(written, epochs, strict=True):
-        for k, (s, f) in enumerate(zip(e.satellite, e.signal, strict=True)):
-            name = f"{chr(s >> 8)}{s & 255:02d}"
-            code = f"{chr(f >> 8)}{chr(f & 255)}"
-            values_of_row = (e.pseudorange_m[k], e.carrier_phase_cycles[k], e.doppler_hz[k], e.cn0_dbhz[k])
-            for kind, value in zip("CLDS", values_of_row, strict=True):
-                decoded = values.pop((name, kind + code), None)
-                if np.isnan(value):
-                    assert decoded is None
-                else:
-                    assert decoded is not None
-                    assert decoded[0] == pytest.approx(value, abs=0.5001e-3)
-        assert not values
-
-
 def test_indicators_follow_the_values():
     ((_, values),) = epochs_of(observation_text([epoch(0, np.random.default_rng(1))], STATION))
     keys = (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"), ("J07", "L2L"))

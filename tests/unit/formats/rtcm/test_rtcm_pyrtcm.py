@@ -190,27 +190,6 @@ def test_recorded_messages_equal_those_of_pyrtcm(name: str) -> None:
     assert read == len(msm) + len(others)
 
 
-@pytest.mark.parametrize("name", LOGS)
-@given(seed=SEEDS)
-@settings(derandomize=True, max_examples=20, deadline=None)
-def test_intact_frames_of_a_damaged_recording_are_decoded(name: str, seed: int) -> None:
-    data = log(name)
-    frames = frames_of(data)
-    random = np.random.default_rng(seed)
-    damaged = bytearray(data)
-    for _ in range(8):
-        place = int(random.integers(0, len(damaged)))
-        if random.random() < 0.5:
-            damaged[place] ^= 1 << int(random.integers(0, 8))
-        else:
-            del damaged[place : place + int(random.integers(1, 30))]
-    decoder = RtcmDecoder(NOW_NS)
-    decoder.feed(bytes(damaged))
-    decoder.finish()
-    whole = sum(damaged.count(frame) * len(frame) for frame in set(frames))
-    assert len(damaged) - decoder.bytes_skipped == whole
-
-
 def any_msm(random: np.random.Generator, number: int) -> bytes:
     """A well-formed message with random fields, including the codes of "unknown"."""
     most = MSM_SYSTEMS[TENS[number // 10]].satellites

@@ -15,7 +15,7 @@ from pyubx2 import UBXReader
 
 from camber.formats.observations import satellite_name, satellite_number, signal_name, signal_number
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
-from camber.formats.ubx.rawx_reader import read_raw_measurements
+from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.signal_ids import GNSS_IDS, SIGNAL_IDS
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
@@ -23,6 +23,7 @@ from support.gnss_files import fed_in_pieces, recording
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
 
 TIMES = st.integers(1044 * WEEK_NS, 4000 * WEEK_NS)
+LETTERS = {0: "G", 2: "E", 3: "C", 5: "J"}
 # All that is read under the name it was written by: data and pilot together are read as the pilot.
 CARRIERS = {
     system: {name: 1575.42e6 for name in names if not name.endswith("X")}
@@ -50,13 +51,16 @@ def row(gnss=0, sv=5, sig=0, pseudorange=2.1e7, phase=1.1e8, doppler=-900.5, loc
     return gnss, sv, sig, pseudorange, phase, doppler, lock, cn0, track
 
 
-@given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6]))
+@given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6, 1.0]))
 @settings(derandomize=True, max_examples=60, deadline=None)
 def test_written_values_are_read_back(seed, time_ns, missing):
     rng = np.random.default_rng(seed)
     sent = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=6)
     sent = replace(sent, pseudorange_m=sent.pseudorange_m * float(rng.choice([1.0, -1.0, 1e-6])))
-    decoded, left_out = read(format_raw_measurements(sent))
+    frame = format_raw_measurements(sent)
+    decoded, left_out = read(frame)
+    assert_equal_to_pyubx2(frame, decoded)
+    assert not any(row["freqId"] or row["subHalfCyc"] for row in measurements(frame)[0])
     epoch = decoded.epoch
     assert (left_out.other_systems, left_out.unknown_signals, left_out.repeated) == (0, 0, 0)
     assert not decoded.clock_reset
@@ -193,51 +197,56 @@ def test_epoch_without_measurements_is_returned():
 # ------------------------------------------------------------------------------------------------------- recordings
 
 
+FIELDS = (
+    *("prMes", "cpMes", "doMes", "gnssId", "svId", "sigId", "freqId", "locktime", "cno"),
+    *("prValid", "cpValid", "halfCyc", "subHalfCyc"),
+)
+
+
+def measurements(frame: bytes):
+    """The rows of supported systems by pyubx2, and how many others there are."""
+    message = UBXReader.parse(frame)
+    rows = [
+        {name: getattr(message, f"{name}_{k:02d}") for name in FIELDS} for k in range(1, message.numMeas + 1)
+    ]
+    supported = [row for row in rows if row["gnssId"] in LETTERS]
+    return supported, len(rows) - len(supported)
+
+
+def assert_equal_to_pyubx2(frame: bytes, result: RawxEpoch) -> None:
+    message, epoch = UBXReader.parse(frame), result.epoch
+    assert epoch.time_ns == message.week * WEEK_NS + round(message.rcvTow * 1e9)
+    assert result.clock_reset == message.clkReset
+    rows, _ = measurements(frame)
+    assert len(rows) == epoch.satellite.size
+    for place, row in enumerate(rows):
+        letter, number = LETTERS[row["gnssId"]], row["svId"]
+        assert satellite_name(int(epoch.satellite[place])) == f"{letter}{number:02d}"
+        half = 0.5 if letter == "C" and (number <= 5 or number >= 59) else 0.0
+        pseudorange_m, phase = epoch.pseudorange_m[place], epoch.carrier_phase_cycles[place]
+        assert pseudorange_m == row["prMes"] if row["prValid"] else math.isnan(pseudorange_m)
+        assert phase == row["cpMes"] + half if row["cpValid"] else math.isnan(phase)
+        assert np.nan_to_num(epoch.doppler_hz[place]) == row["doMes"]
+        assert np.nan_to_num(epoch.cn0_dbhz[place]) == row["cno"]
+        assert epoch.lock_time_s[place] == row["locktime"] / 1000
+        assert epoch.half_cycle[place] == (row["cpValid"] and not row["halfCyc"])
+
+
 def test_recorded_measurements_equal_those_of_pyubx2():
     data = recording("receiver-logs/ubx-pygpsdata-RXMRAWX.log").read_bytes()
     decoder = UbxDecoder("port")
     epochs = fed_in_pieces(decoder, data, range(777, len(data), 777))
-    names = {0: "G", 2: "E", 3: "C", 5: "J"}
-    reported = [message for _, message in UBXReader(io.BytesIO(data))]
-    assert len(epochs) == len(reported) == 14
-    others, halves = 0, 0
-    for (result, message), earlier in zip(
-        zip(epochs, reported, strict=True), [None, *reported], strict=False
-    ):
-        epoch = result.epoch
-        assert epoch.time_ns == message.week * WEEK_NS + round(message.rcvTow * 1e9)
-        assert result.clock_reset == message.clkReset
-        place = 0
-        for k in range(1, message.numMeas + 1):
-            row = {name: getattr(message, f"{name}_{k:02d}") for name in FIELDS}
-            if row["gnssId"] not in names:
-                others += 1
-                continue
-            name = f"{names[row['gnssId']]}{row['svId']:02d}"
-            assert satellite_name(int(epoch.satellite[place])) == name
-            assert epoch.pseudorange_m[place] == row["prMes"] or not row["prValid"]
-            assert math.isnan(epoch.pseudorange_m[place]) == (not row["prValid"])
-            assert epoch.carrier_phase_cycles[place] == row["cpMes"] or not row["cpValid"]
-            assert math.isnan(epoch.carrier_phase_cycles[place]) == (not row["cpValid"])
-            assert epoch.doppler_hz[place] == row["doMes"]
-            assert epoch.cn0_dbhz[place] == row["cno"]
-            assert epoch.lock_time_s[place] == row["locktime"] / 1000
-            assert epoch.half_cycle[place] == (row["cpValid"] and not row["halfCyc"])
-            halves += row["subHalfCyc"]
-            place += 1
-        assert place == epoch.satellite.size
+    frames = [frame for frame, _ in UBXReader(io.BytesIO(data))]
+    assert len(frames) == 14
+    for result, frame in zip(epochs, frames, strict=True):
+        assert_equal_to_pyubx2(frame, result)
         # Nothing breaks in these seconds, as the phases themselves show.
-        assert not epoch.loss_of_lock.any()
-        assert earlier is None or result.epoch.time_ns - SECOND_NS == earlier.rcvTow * 1e9 + 2327 * WEEK_NS
-    assert decoder.messages.other_systems == others > 50
-    assert halves > 50
+        assert not result.epoch.loss_of_lock.any()
+    assert np.unique(np.diff([result.epoch.time_ns for result in epochs])).tolist() == [SECOND_NS]
+    rows, others = zip(*map(measurements, frames), strict=True)
+    assert decoder.messages.other_systems == sum(others) > 50
+    assert sum(row["subHalfCyc"] for of_frame in rows for row in of_frame) > 50
     assert decoder.bytes_skipped == decoder.messages.unknown_signals == 0
-
-
-FIELDS = (
-    *("prMes", "cpMes", "doMes", "gnssId", "svId", "sigId", "locktime", "cno", "prValid", "cpValid"),
-    *("halfCyc", "subHalfCyc"),
-)
 
 
 def test_l2c_ids_of_gps_and_qzss_differ():
