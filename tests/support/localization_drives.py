@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from camber.geodesy.angles import wrap_pi
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.filter.odometry import MotionSample
 from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.scan_match_update import MatchUpdate
@@ -221,14 +220,7 @@ def matched_alone(drive: KeptDrive, *, every: int = ALONE_EVERY) -> Errors:
     for tick in drive.ticks:
         if tick.motion is not None:
             m = tick.motion
-            blindfold.predict(
-                MotionSample(
-                    time_ns=m.time_ns,
-                    speed_m_s=m.wheel_speed_m_s,
-                    yaw_rate_rad_s=m.yaw_rate_rad_s,
-                    steering_rad=m.steering_angle_rad,
-                )
-            )
+            blindfold.predict(m)
             matcher.set_attitude(m.roll_rad, m.pitch_rad)
         if tick.sweep is not None:
             matcher.add_sweep(tick.sweep)

@@ -36,12 +36,12 @@ CORRIDOR = [((-60.0, -4.0), (60.0, -4.0)), ((-60.0, 4.0), (60.0, 4.0))]
 def surfaces(
     walls: list[tuple[tuple[float, float], tuple[float, float]]],
     density: float,
-    random: np.random.Generator,
+    seed: int | tuple[int, ...] | np.random.Generator,
     low_m: float = 0.0,
     high_m: float = HEIGHT_M,
 ) -> Floats:
     """Points (n, 3) on upright walls, with noise across them."""
-    parts = []
+    random, parts = np.random.default_rng(seed), []
     for (x0, y0), (x1, y1) in walls:
         length = float(np.hypot(x1 - x0, y1 - y0))
         n = int(density * length * (high_m - low_m))
@@ -53,8 +53,9 @@ def surfaces(
     return np.concatenate(parts)
 
 
-def road(density: float, random: np.random.Generator, half_m: float = 15.0) -> Floats:
+def road(density: float, seed: int, half_m: float = 15.0) -> Floats:
     """Points (n, 3) of a level square of road."""
+    random = np.random.default_rng(seed)
     n = int(density * 4.0 * half_m**2)
     points_m = random.uniform(-half_m, half_m, (n, 3))
     points_m[:, 2] = random.normal(0.0, NOISE_M, n)
@@ -90,3 +91,8 @@ def error(result: Floats, truth: Floats) -> tuple[float, float]:
     """Horizontal distance [m] and turn [rad] between two poses."""
     apart = invert(truth) @ result
     return float(np.hypot(apart[0, 3], apart[1, 3])), abs(float(np.arctan2(apart[1, 0], apart[0, 0])))
+
+
+TRUTH = pose(3.0, -2.0, 30.0)
+YARD_M = surfaces(YARD, MAP_DENSITY, 1)
+YARD_SEEN_M = seen_from(TRUTH, surfaces(YARD, LOCAL_DENSITY, 2))

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.odometry import MotionSample
 from camber.localizer.filter.start_from_fixes import StartPose, StartProvenance
-from camber.localizer.links.link_line import LinkLine
-from camber.localizer.links.link_matching import LinkMatch
+from camber.localizer.links.link_matching import LinkLine, LinkMatch
+from camber.schemas.motion import Motion
 
 
 def sample(
@@ -19,9 +18,13 @@ def sample(
     speed_m_s: float | None,
     yaw_rate_rad_s: float | None = 0.0,
     steering_rad: float | None = None,
-) -> MotionSample:
-    return MotionSample(
-        time_ns=time_ns, speed_m_s=speed_m_s, yaw_rate_rad_s=yaw_rate_rad_s, steering_rad=steering_rad
+) -> Motion:
+    """Not validated: times begin anywhere, and readings may be out of range."""
+    return Motion.model_construct(
+        time_ns=time_ns,
+        wheel_speed_m_s=speed_m_s,
+        yaw_rate_rad_s=yaw_rate_rad_s,
+        steering_angle_rad=steering_rad,
     )
 
 
@@ -49,3 +52,9 @@ def link_match(line: LinkLine, sigma_m: float = 1.0, **more: Any) -> LinkMatch:
     """Link 1, followed forward, half a kilometre from its next bend."""
     matched = {"status": "matched", "link_id": 1, "forward": True, "level": 0, "candidates": (1,)}
     return LinkMatch(**matched | {"line": line, "sigma_m": sigma_m, "to_sharp_m": 500.0} | more)  # type: ignore[arg-type]
+
+
+def line_through(start: tuple[float, float], end: tuple[float, float]) -> LinkLine:
+    """Return the line from one point (east, north) to another."""
+    alpha = math.atan2(end[1] - start[1], end[0] - start[0])
+    return LinkLine(alpha, start[0] * math.sin(alpha) - start[1] * math.cos(alpha))

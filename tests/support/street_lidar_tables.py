@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camber.localizer.matching.coarse_search import search, seems_mirrored
 from camber.localizer.matching.icp import moved
-from camber.localizer.matching.layer_selection import LayerEstimate, SelectionRule, select
+from camber.localizer.matching.layer_selection import SelectionRule, select
 from camber.localizer.matching.layered_matching import (
     LayeredMatch,
     MatchInput,
@@ -98,13 +98,7 @@ def chosen(query: Query, match: LayeredMatch, rule: SelectionRule) -> LayeredMat
     layers = [row for row in match.layers if row.outcome in ("used", "voted_out")]
     if not layers:
         return match
-    choice = select(
-        [
-            LayerEstimate(offset=r.offset, covariance=r.covariance, mean_distance_m=r.fit.mean_distance_m)
-            for r in layers
-        ],
-        rule,
-    )
+    choice = select(layers, rule)
     return replace(
         match, map_from_local=moved(query.guess, choice.offset, "planar"), covariance=choice.covariance
     )

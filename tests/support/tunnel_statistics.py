@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.odometry import MotionModel
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadLink
@@ -140,15 +140,7 @@ def blind(
         now = motion.time_ns
         if now > one.lost_ns + blind_s * 1e9:
             break
-        angle = motion.steering_angle_rad if steering else None
-        pose_filter.predict(
-            MotionSample(
-                time_ns=now,
-                speed_m_s=motion.wheel_speed_m_s,
-                yaw_rate_rad_s=motion.yaw_rate_rad_s,
-                steering_rad=angle,
-            )
-        )
+        pose_filter.predict(motion if steering else motion.model_copy(update={"steering_angle_rad": None}))
         if now <= one.lost_ns and now - anchored_ns >= ANCHOR_S * 1e9:
             anchored_ns = now
             antenna = _at(one.trajectory, one.trajectory.antenna_m, now)[:2] + rng.normal(0.0, ANCHOR_M, 2)
@@ -165,7 +157,7 @@ def blind(
             off = np.array([e.east_m, e.north_m]) - _at(one.trajectory, one.trajectory.origin_m, now)[:2]
             covariance = e.covariance[:2, :2]
             squared = float(off @ np.linalg.solve(covariance, off))
-            rows.append((now, *off, e.yaw_rad, squared, e.horizontal_sigma_m, e.link_status == "matched"))
+            rows.append((now, *off, e.yaw_rad, squared, e.horizontal_sigma_m, e.link.status == "matched"))
     return _judged(one, np.array(rows))
 
 

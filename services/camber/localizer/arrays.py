@@ -33,10 +33,5 @@ def require_covariance(name: str, value: Floats, size: int) -> None:
     require_array(name, value, (size, size))
     if np.abs(value - value.T).max() > 1e-6 * np.abs(value).max():
         raise ValueError(f"{name}: must be symmetric")
-    if size == 2:
-        a, b, c = float(value[0, 0]), float(value[1, 1]), float(value[0, 1])
-        positive = a > 0.0 and a * b > c * c
-    else:
-        positive = bool(np.linalg.eigvalsh(value)[0] > 0.0)
-    if not positive:
+    if not np.linalg.eigvalsh(value)[0] > 0.0:
         raise ValueError(f"{name}: must be positive definite")

@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from camber.geodesy.se3 import lever_arm_enu
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.odometry import MotionSample
 from camber.localizer.filter.planar_pose import covariance_at_offset, rotated
 from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_filter import PoseFilter
@@ -95,18 +94,9 @@ class Localization:
         """Whether there is a pose."""
         return self._filter.mode != "none"
 
-    # Inputs
-
     def on_motion(self, motion: Motion) -> bool:
         """Propagate the pose; return whether this sample started the given pose."""
-        outcome = self._filter.predict(
-            MotionSample(
-                time_ns=motion.time_ns,
-                speed_m_s=motion.wheel_speed_m_s,
-                yaw_rate_rad_s=motion.yaw_rate_rad_s,
-                steering_rad=motion.steering_angle_rad,
-            )
-        )
+        outcome = self._filter.predict(motion)
         if outcome in ("repeated", "backwards"):
             self._diagnostics.issue(f"motion_{outcome}", f"sample at {motion.time_ns} ns")
             return False
@@ -158,8 +148,6 @@ class Localization:
         if self.matcher is not None:
             self.matcher.add_sweep(sweep)
 
-    # Output
-
     def advance(self) -> LocalizationOutput:
         """Match the sweeps that are ready; return the matches, and the pose of the newest motion sample, once."""
         matches: tuple[ScanMatch, ...] = ()
@@ -182,7 +170,7 @@ class Localization:
             road = Road(status="unknown", reason="no_pose")
             reason = "not started: no given pose, and no fixes in a row that agree with the motion"
             return Pose(time_ns=time_ns, mode="none", provenance="none", reason=reason, road=road)
-        plane, yaw_rad = self._plane, estimate.yaw_rad
+        plane, yaw_rad, link_id = self._plane, estimate.yaw_rad, estimate.link.link_id
         roll_rad, pitch_rad = self._attitude(estimate.time_ns, yaw_rad)
         east_m, north_m, _ = lever_arm_enu(roll_rad, pitch_rad, yaw_rad, self._lever_m)
         covariance = covariance_at_offset(estimate.covariance, east_m, north_m)
@@ -204,10 +192,10 @@ class Localization:
             pitch_rad=pitch_rad,
             speed_m_s=estimate.speed_m_s,
             yaw_rate_rad_s=estimate.yaw_rate_rad_s,
-            link_id=estimate.link_id if isinstance(estimate.link_id, int) else None,
-            anchor_time_ns=_time_before(estimate.time_ns, estimate.anchor_age_s),
+            link_id=link_id if isinstance(link_id, int) else None,
+            anchor_time_ns=estimate.anchor_time_ns,
             motion_time_ns=estimate.time_ns,
-            match_time_ns=_time_before(estimate.time_ns, estimate.match_age_s),
+            match_time_ns=estimate.match_time_ns,
             road=road,
         )
 
@@ -219,14 +207,12 @@ class Localization:
             yield f"{estimate.conflict} say another place"
         if estimate.wheel_slip_suspected:
             yield "the wheels do not say how fast the vehicle goes"
-        if estimate.speed_age_s is None or estimate.speed_age_s > 0.0:
+        if estimate.speed_m_s is None:
             yield "no speed"
-        if estimate.rotation_age_s is None or estimate.rotation_age_s > 0.0:
+        if not estimate.rotation_read:
             yield "no rotation"
         if self.matcher is not None and self.matcher.reason:
             yield self.matcher.reason
-
-    # Attitude and covariance
 
     def _attitude(self, time_ns: int, yaw_rad: float) -> tuple[float, float]:
         """Return roll and pitch by a recent match, else by the road's slope."""
@@ -252,8 +238,6 @@ class Localization:
             )
             return None
         return np.array([[ee, en], [en, nn]])
-
-    # Links and plane
 
     def _couple_links(self, now_ns: int) -> None:
         estimate = self._filter.estimate()
@@ -314,7 +298,3 @@ class Localization:
                 provenance="given",
             )
         )
-
-
-def _time_before(time_ns: int, age_s: float | None) -> int | None:
-    return None if age_s is None else time_ns - round(age_s * 1e9)

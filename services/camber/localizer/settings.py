@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from pydantic import Field, field_validator
 
@@ -22,32 +22,27 @@ from camber.runtime.settings import ServiceSettings
 _LOCALIZATION, _SCAN_MATCHING = LocalizationOptions(), ScanMatchOptions()
 _MODEL, _MATCHING = _LOCALIZATION.model, _SCAN_MATCHING.match
 
+_Offset = Annotated[float, Field(ge=-50.0, le=50.0)]
+_Turn = Annotated[float, Field(ge=-180.0, le=180.0)]
+
 
 class LocalizerSettings(ServiceSettings):
     """Vehicle, sensors, matching and links."""
 
     SERVICE: ClassVar[str] = "localizer"
 
-    antenna_x_m: float = Field(
-        _MODEL.antenna_x_m, ge=-50.0, le=50.0, description="antenna forward of the rear axle's middle"
-    )
-    antenna_y_m: float = Field(_MODEL.antenna_y_m, ge=-50.0, le=50.0, description="antenna left of it")
-    antenna_z_m: float = Field(
+    antenna_x_m: _Offset = Field(_MODEL.antenna_x_m, description="antenna forward of the rear axle's middle")
+    antenna_y_m: _Offset = Field(_MODEL.antenna_y_m, description="antenna left of it")
+    antenna_z_m: _Offset = Field(
         _LOCALIZATION.antenna_z_m,
-        ge=-50.0,
-        le=50.0,
         description="antenna above the road at rest; on a grade it tilts with the vehicle",
     )
-    lidar_x_m: float = Field(0.0, ge=-50.0, le=50.0, description="LiDAR forward of the rear axle's middle")
-    lidar_y_m: float = Field(0.0, ge=-50.0, le=50.0, description="LiDAR left of it")
+    lidar_x_m: _Offset = Field(0.0, description="LiDAR forward of the rear axle's middle")
+    lidar_y_m: _Offset = Field(0.0, description="LiDAR left of it")
     lidar_z_m: float = Field(1.8, ge=-10.0, le=100.0, description="LiDAR above the road at rest")
-    lidar_roll_deg: float = Field(
-        0.0, ge=-180.0, le=180.0, description="LiDAR against the vehicle, left side up"
-    )
+    lidar_roll_deg: _Turn = Field(0.0, description="LiDAR against the vehicle, left side up")
     lidar_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0, description="LiDAR against the vehicle, nose down")
-    lidar_yaw_deg: float = Field(
-        0.0, ge=-180.0, le=180.0, description="LiDAR against the vehicle, counter-clockwise"
-    )
+    lidar_yaw_deg: _Turn = Field(0.0, description="LiDAR against the vehicle, counter-clockwise")
     wheelbase_m: float = Field(
         _MODEL.motion.wheelbase_m, gt=0.1, le=20.0, description="for the bicycle model of the steering"
     )
@@ -100,21 +95,17 @@ class LocalizerSettings(ServiceSettings):
     def options(self, given: GivenPose | None) -> LocalizationOptions:
         """Return the localizer's parameters, with the given pose where it is to be used."""
         return LocalizationOptions(
-            model=self.model(),
+            model=PoseModel(
+                motion=MotionModel(wheelbase_m=self.wheelbase_m, a_rate_sensor=self.a_rate_sensor),
+                antenna_x_m=self.antenna_x_m,
+                antenna_y_m=self.antenna_y_m,
+                couple_links=self.couple_links,
+            ),
             antenna_z_m=self.antenna_z_m,
             links_radius_m=self.links_radius_m,
             road_sigma_limit_m=self.road_sigma_limit_m,
             given=given,
             matching=self._matching() if self.match_sweeps else None,
-        )
-
-    def model(self) -> PoseModel:
-        """Return the filter's parameters."""
-        return PoseModel(
-            motion=MotionModel(wheelbase_m=self.wheelbase_m, a_rate_sensor=self.a_rate_sensor),
-            antenna_x_m=self.antenna_x_m,
-            antenna_y_m=self.antenna_y_m,
-            couple_links=self.couple_links,
         )
 
     def _matching(self) -> ScanMatchOptions:

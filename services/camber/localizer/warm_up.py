@@ -59,16 +59,10 @@ def warm_up(sweeps: int = 3) -> list[LocalizationOutput]:
     outputs = []
     for number in range(sweeps):
         time_ns = _TIME_NS + number * _TURN_NS
-        localization.on_motion(
-            Motion(
-                time_ns=time_ns,
-                wheel_speed_m_s=0.0,
-                yaw_rate_rad_s=0.0,
-                steering_angle_rad=0.0,
-                roll_rad=0.0,
-                pitch_rad=0.0,
-            )
+        at_rest = Motion(
+            time_ns=time_ns, wheel_speed_m_s=0.0, yaw_rate_rad_s=0.0, roll_rad=0.0, pitch_rad=0.0
         )
+        localization.on_motion(at_rest)
         localization.on_sweep(synthetic_sweep(time_ns, np.concatenate((road_m, walls_m))))
         outputs.append(localization.advance())
     return outputs
@@ -140,11 +134,11 @@ class SyntheticMap:
 
     def tile(self, request: TileRequest) -> TileReply:
         """Return the tile, in one part."""
-        blob = self._blobs[request.layer] if (request.x, request.y) == _TILE else None
-        if blob is None:
+        if (request.x, request.y) != _TILE:
             return TileReply(
                 time_ns=request.time_ns, status="unknown", reason="none", payload=np.zeros(0, np.uint8)
             )
+        blob = self._blobs[request.layer]
         return TileReply(
             time_ns=request.time_ns,
             status="known",

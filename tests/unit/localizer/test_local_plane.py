@@ -13,25 +13,6 @@ from camber.localizer.local_plane import MOVE_AFTER_M, LocalPlane
 from camber.schemas.road import LinksReply
 
 LATITUDE, LONGITUDE = math.radians(35.17), math.radians(136.9)
-NEAR_M = st.floats(-MOVE_AFTER_M, MOVE_AFTER_M)
-
-
-@given(east_m=NEAR_M, north_m=NEAR_M)
-def test_there_and_back_is_the_same_place(east_m: float, north_m: float) -> None:
-    plane = LocalPlane(LATITUDE, LONGITUDE)
-    back = plane.east_north(*plane.geodetic(east_m, north_m))
-    assert back == pytest.approx((east_m, north_m), abs=1e-6)
-
-
-def test_its_origin_is_zero_and_its_axes_are_east_and_north() -> None:
-    plane = LocalPlane(LATITUDE, LONGITUDE)
-    assert plane.east_north(LATITUDE, LONGITUDE) == pytest.approx((0.0, 0.0), abs=1e-9)
-    east, north = plane.east_north(LATITUDE, LONGITUDE + 1e-5)
-    assert east == pytest.approx(52.18, abs=0.05)
-    assert abs(north) < 1e-3
-    east, north = plane.east_north(LATITUDE + 1e-5, LONGITUDE)
-    assert north == pytest.approx(63.56, abs=0.05)
-    assert abs(east) < 1e-9
 
 
 def test_beyond_two_kilometres_it_is_time_for_another() -> None:

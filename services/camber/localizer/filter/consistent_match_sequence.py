@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,14 @@ from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.planar_pose import covariance_at_offset, largest_variance, rotated
 from camber.localizer.filter.track import OverlayLag, TrackPoint
+
+# Chosen: drift is a generous bound of dead reckoning over the gap; a σ above the limits leaves a direction open.
+_DRIFT_M: Final = 0.05
+_DRIFT_PER_M: Final = 0.01
+_MAX_GAP_S: Final = 3.0
+_MAX_SIGMA_M: Final = 0.5
+_DRIFT_RAD: Final = math.radians(0.5)
+_MAX_SIGMA_RAD: Final = math.radians(3.0)
 
 
 class MatchedPose(NamedTuple):
@@ -37,25 +44,12 @@ class MatchedPose(NamedTuple):
         return self._replace(east_m=self.east_m - east_m, north_m=self.north_m - north_m)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConsistencyModel:
-    """When two matches agree, and how precise a match must be to count. Chosen: drift is a generous bound of dead
-    reckoning over `max_gap_s`; a σ above the limits leaves a direction open."""
-
-    gate: float = 21.11  # chi-square, 3 degrees of freedom, 99.99 %
-    drift_m: float = 0.05
-    drift_per_m: float = 0.01
-    drift_rad: float = math.radians(0.5)
-    max_gap_s: float = 3.0
-    max_sigma_m: float = 0.5
-    max_sigma_rad: float = math.radians(3.0)
-
-
 class ConsistentMatchSequence:
-    """Collects unique matches that agree; one that does not agree begins a new sequence."""
+    """Collects unique matches that agree, by a chi-square `gate` of 3 degrees of freedom; one that does not agree
+    begins a new sequence."""
 
-    def __init__(self, model: ConsistencyModel) -> None:
-        self._model = model
+    def __init__(self, gate: float) -> None:
+        self._gate = gate
         self.forget()
 
     def forget(self) -> None:
@@ -84,10 +78,9 @@ class ConsistentMatchSequence:
 
     def add(self, match: MatchedPose, *, unique: bool) -> None:
         """Add a match, unless it is not unique or not precise in every direction."""
-        model = self._model
         sigma_m = math.sqrt(largest_variance(match.covariance))
         sigma_rad = math.sqrt(float(match.covariance[2, 2]))
-        if not unique or sigma_m > model.max_sigma_m or sigma_rad > model.max_sigma_rad:
+        if not unique or sigma_m > _MAX_SIGMA_M or sigma_rad > _MAX_SIGMA_RAD:
             return
         first, last = self._first, self._last
         follows = first is not None and last is not None and self._follows(first, last, match)
@@ -96,17 +89,16 @@ class ConsistentMatchSequence:
         self._last = match
 
     def _follows(self, first: MatchedPose, last: MatchedPose, match: MatchedPose) -> bool:
-        if not 0.0 < _seconds(last, match) <= self._model.max_gap_s:
+        if not 0.0 < _seconds(last, match) <= _MAX_GAP_S:
             return False
         return self._agree(last, match) and self._agree(first, match)
 
     def _agree(self, a: MatchedPose, b: MatchedPose) -> bool:
-        model = self._model
         east, north, yaw, covariance = a.carried(b.track)
         off = np.array([b.east_m - east, b.north_m - north, wrap_pi(b.yaw_rad - yaw)])
-        drift = (model.drift_m + model.drift_per_m * abs(b.track.path_m - a.track.path_m)) ** 2
-        s = covariance + b.covariance + np.diag([drift, drift, model.drift_rad**2])
-        return float(off @ np.linalg.solve(s, off)) <= model.gate
+        drift = (_DRIFT_M + _DRIFT_PER_M * abs(b.track.path_m - a.track.path_m)) ** 2
+        s = covariance + b.covariance + np.diag([drift, drift, _DRIFT_RAD**2])
+        return float(off @ np.linalg.solve(s, off)) <= self._gate
 
 
 def _seconds(a: MatchedPose, b: MatchedPose) -> float:

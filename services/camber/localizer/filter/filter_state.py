@@ -32,6 +32,7 @@ SHIFT_EAST: Final = N_MOTION + 8  # common shift of all links of a neighbourhood
 SHIFT_NORTH: Final = N_MOTION + 9
 N_STATES: Final = N_MOTION + 10
 _SENSORS: Final = slice(BIAS_A, WHEEL_LAG + 1)
+_AGING: Final = np.arange(DEVIATION, N_STATES)
 
 
 class FilterState:
@@ -71,11 +72,16 @@ class FilterState:
             self.set_independent(index, max(variance, 1e-18))
 
     def update(self, h: Floats, innovation: Floats, noise: Floats) -> None:
-        """Apply a Kalman update by m = 1 or 2 rows `h` (m, n) with `noise` (m, m)."""
-        if self.sensors_learn:
-            self.x, self.p, _ = kalman_update(self.x, self.p, h=h, innovation=innovation, noise=noise)
-        else:
+        """Apply a Kalman update by m = 1 or 2 rows `h` (m, n) with `noise` (m, m); their sum of covariances must be
+        regular."""
+        if not self.sensors_learn:
             self.update_joseph(h, innovation, noise)
+            return
+        ph = self.p @ h.T
+        s = h @ ph + noise
+        gain = ph / s[0, 0] if len(s) == 1 else ph @ inverse_2x2(s)
+        updated = self.p - gain @ ph.T
+        self.x, self.p = self.x + gain @ innovation, 0.5 * (updated + updated.T)
 
     def update_joseph(
         self, h: Floats, innovation: Floats, noise: Floats, *, update_sensors: bool = True
@@ -161,32 +167,10 @@ class FilterState:
         x[DEVIATION:N_STATES] *= keep
         p[:, DEVIATION:N_STATES] *= keep
         p[DEVIATION:N_STATES] *= keep[:, None]
-        common_var = (1.0 - in_time * in_time) * model.anchor_common_sigma_m**2
-        p[COMMON_EAST, COMMON_EAST] += common_var
-        p[COMMON_NORTH, COMMON_NORTH] += common_var
-        if path_m > 0.0:
-            p[DEVIATION, DEVIATION] += (1.0 - in_space * in_space) * link_sigma_m**2
-            p[LANE, LANE] += model.lane_wander_m_sqrt_m**2 * path_m
-            renewed = 1.0 - in_map * in_map
-            p[MATCH_EAST, MATCH_EAST] += renewed * model.match_common_sigma_m**2
-            p[MATCH_NORTH, MATCH_NORTH] += renewed * model.match_common_sigma_m**2
-            p[MATCH_YAW, MATCH_YAW] += renewed * model.match_common_sigma_rad**2
-            p[SHIFT_EAST, SHIFT_EAST] += 1.0 - in_area * in_area
-            p[SHIFT_NORTH, SHIFT_NORTH] += 1.0 - in_area * in_area
-
-
-def kalman_update(
-    x: Floats, p: Floats, *, h: Floats, innovation: Floats, noise: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return state (n,), covariance (n, n) and innovation covariance (m, m) after an observation.
-
-    The observation has m = 1 or 2 rows `h` (m, n) with `noise` (m, m); their sum of covariances must be regular.
-    """
-    ph = p @ h.T
-    s = h @ ph + noise
-    gain = ph / s[0, 0] if len(s) == 1 else ph @ inverse_2x2(s)
-    updated = p - gain @ ph.T
-    return x + gain @ innovation, 0.5 * (updated + updated.T), s
+        anchor, match = model.anchor_common_sigma_m, model.match_common_sigma_m
+        sigma = np.array((link_sigma_m, anchor, anchor, match, match, model.match_common_sigma_rad, 1.0, 1.0))
+        p[_AGING, _AGING] += (1.0 - keep * keep) * sigma**2
+        p[LANE, LANE] += model.lane_wander_m_sqrt_m**2 * path_m
 
 
 def inverse_2x2(s: Floats) -> Floats:

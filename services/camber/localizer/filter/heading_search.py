@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.track import TrackPoint
+
+# Chosen: 1 m of baseline and 9° are the least that the filter's linearisation tolerates; 2 % bounds the drift of dead
+# reckoning before its scale is known.
+_MIN_BASELINE_M: Final = 1.0
+_MAX_SIGMA_RAD: Final = 0.15
+_TOLERANCE_SIGMAS: Final = 4.0
+_TOLERANCE_PER_M: Final = 0.02
 
 
 class TrackedPosition(NamedTuple):
@@ -26,33 +32,20 @@ class TrackedPosition(NamedTuple):
         return self._replace(east_m=self.east_m - east_m, north_m=self.north_m - north_m)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeadingModel:
-    """When two positions and the track between them determine the heading. Chosen: 1 m of baseline and 9° are the least
-    that the filter's linearisation tolerates; 2 % bounds the drift of dead reckoning before its scale is known."""
-
-    min_baseline_m: float = 1.0
-    max_sigma_rad: float = 0.15
-    tolerance_sigmas: float = 4.0
-    tolerance_per_m: float = 0.02
-
-
 class HeadingSearch:
     """A known position with an unknown heading, until the track to another position determines it.
 
     Positions are of the antenna or, from a given pose, of the vehicle: the lever arm is in the variance.
     """
 
-    def __init__(
-        self, position: TrackedPosition, antenna_m: tuple[float, float], model: HeadingModel
-    ) -> None:
-        self._antenna_m, self._model = antenna_m, model
+    def __init__(self, position: TrackedPosition, antenna_m: tuple[float, float]) -> None:
+        self._antenna_m = antenna_m
         self._first = self._last = position
 
     def add(self, position: TrackedPosition) -> tuple[float, Floats] | None:
         """Add a position; return the rotation from the track's frame to the plane and the covariance (3, 3) of antenna
         and yaw, or None while the heading is not determined."""
-        model, first = self._model, self._first
+        first = self._first
         self._last = position
         begin = antenna_on_track(first.track, self._antenna_m)
         end = antenna_on_track(position.track, self._antenna_m)
@@ -60,8 +53,8 @@ class HeadingSearch:
         observed = math.hypot(position.east_m - first.east_m, position.north_m - first.north_m)
         spread = math.sqrt(position.variance_m2 + first.variance_m2)
         path = abs(position.track.path_m - first.track.path_m)
-        agrees = abs(observed - baseline) <= model.tolerance_sigmas * spread + model.tolerance_per_m * path
-        if agrees and baseline > max(model.min_baseline_m, spread / model.max_sigma_rad):
+        agrees = abs(observed - baseline) <= _TOLERANCE_SIGMAS * spread + _TOLERANCE_PER_M * path
+        if agrees and baseline > max(_MIN_BASELINE_M, spread / _MAX_SIGMA_RAD):
             direction = math.atan2(position.north_m - first.north_m, position.east_m - first.east_m)
             turned = direction - math.atan2(end[1] - begin[1], end[0] - begin[0])
             variances_m2 = (first.variance_m2, position.variance_m2)
@@ -76,7 +69,7 @@ class HeadingSearch:
         last = self._last
         moved_m2 = (here.east_m - last.track.east_m) ** 2 + (here.north_m - last.track.north_m) ** 2
         lever_m2 = self._antenna_m[0] ** 2 + self._antenna_m[1] ** 2
-        drift_m = self._model.tolerance_per_m * (here.path_m - last.track.path_m)
+        drift_m = _TOLERANCE_PER_M * (here.path_m - last.track.path_m)
         variance = last.variance_m2 + 0.5 * (moved_m2 + lever_m2) + drift_m * drift_m
         return last.east_m, last.north_m, variance
 

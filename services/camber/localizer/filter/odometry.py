@@ -19,32 +19,13 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias
 
-from camber.localizer.arrays import require_finite
+from camber.schemas.motion import Motion
 
 RateSensor: TypeAlias = Literal["yaw_rate", "steering"]
 SampleOutcome: TypeAlias = Literal["first", "applied", "gap", "repeated", "backwards"]
 
 _MAX_STEERING_RAD: Final = 1.4  # chosen: beyond it the tangent of the bicycle model runs away
 _GAIN_NOISE_SHARE: Final = 0.3  # chosen: share of a gain's error that changes from one turn to the next
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionSample:
-    """One reading of the vehicle's sensors; None where a sensor gave no value. ValueError if not finite.
-
-    Speed is that of the rear axle's middle, negative in reverse; yaw rate is counter-clockwise seen from above;
-    steering is the front wheels' angle, positive to the left.
-    """
-
-    time_ns: int
-    speed_m_s: float | None
-    yaw_rate_rad_s: float | None = None
-    steering_rad: float | None = None
-
-    def __post_init__(self) -> None:
-        require_finite(
-            speed_m_s=self.speed_m_s, yaw_rate_rad_s=self.yaw_rate_rad_s, steering_rad=self.steering_rad
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,8 +123,8 @@ class YawRate(NamedTuple):
 class _Interval(NamedTuple):
     """Two consecutive samples; `is_gap` where too much time lies between them to interpolate."""
 
-    last: MotionSample
-    sample: MotionSample
+    last: Motion
+    sample: Motion
     dt_s: float
     is_gap: bool
 
@@ -153,12 +134,12 @@ class WheelOdometry:
 
     def __init__(self, model: MotionModel) -> None:
         self._model = model
-        self._last: MotionSample | None = None
+        self._last: Motion | None = None
         self._held_speed_m_s: float | None = None
         self._speed_missing_s = 0.0
         self._rate_missing_s = 0.0
         self._quiet_s = 0.0
-        self._standing = False
+        self.standing = False
         self._direction = 1.0
         self._in_dead_zone = False  # the wheels have read exactly zero during this stop
 
@@ -167,24 +148,19 @@ class WheelOdometry:
         """Time of the last sample used."""
         return self._last.time_ns if self._last else None
 
-    @property
-    def standing(self) -> bool:
-        """Whether a standstill is detected."""
-        return self._standing
-
-    def advance(self, sample: MotionSample, yaw_rate_bias_rad_s: float) -> MotionStep:
+    def advance(self, sample: Motion, yaw_rate_bias_rad_s: float) -> MotionStep:
         """Return the motion since the last sample. The bias is used for standstill detection only."""
         last = self._last
         if last is None:
-            self._last, self._held_speed_m_s = sample, sample.speed_m_s
+            self._last, self._held_speed_m_s = sample, sample.wheel_speed_m_s
             return MotionStep("first")
         if sample.time_ns <= last.time_ns:
             return MotionStep("repeated" if sample.time_ns == last.time_ns else "backwards")
         model, dt = self._model, (sample.time_ns - last.time_ns) * 1e-9
         interval = _Interval(last, sample, dt, dt > model.max_step_s)
-        was_standing, was_in_dead_zone = self._standing, self._in_dead_zone
-        self._standing = self._detect_standstill(interval, yaw_rate_bias_rad_s)
-        creeps = was_standing != self._standing and (was_in_dead_zone or self._in_dead_zone)
+        was_standing, was_in_dead_zone = self.standing, self._in_dead_zone
+        self.standing = self._detect_standstill(interval, yaw_rate_bias_rad_s)
+        creeps = was_standing != self.standing and (was_in_dead_zone or self._in_dead_zone)
         along_var = self._along_variance(interval, was_standing)
         before, after = self._speeds(interval)
         speed = 0.5 * (before + after)
@@ -195,10 +171,10 @@ class WheelOdometry:
         return MotionStep(
             outcome="gap" if interval.is_gap else "applied",
             dt_s=dt,
-            standing=was_standing and self._standing,
+            standing=was_standing and self.standing,
             speed_m_s=speed,
             yaw_rate_rad_s=_mean(last.yaw_rate_rad_s, sample.yaw_rate_rad_s),
-            steering_rad=_mean(last.steering_rad, sample.steering_rad),
+            steering_rad=_mean(last.steering_angle_rad, sample.steering_angle_rad),
             speed_sigma_m_s=self._speed_sigma(sample),
             along_var_m2=along_var,
             unknown_rate_var_rad2=rate_var,
@@ -210,7 +186,7 @@ class WheelOdometry:
 
     def _detect_standstill(self, interval: _Interval, bias: float) -> bool:
         model = self._model
-        speed, rate = interval.sample.speed_m_s, interval.sample.yaw_rate_rad_s
+        speed, rate = interval.sample.wheel_speed_m_s, interval.sample.yaw_rate_rad_s
         quiet = speed is not None and abs(speed) <= model.standstill_speed_m_s
         if rate is not None and abs(rate - bias) > model.standstill_rate_rad_s:
             quiet = False
@@ -220,7 +196,7 @@ class WheelOdometry:
         return self._quiet_s >= model.standstill_after_s
 
     def _speeds(self, interval: _Interval) -> tuple[float, float]:
-        last_m_s, now_m_s = interval.last.speed_m_s, interval.sample.speed_m_s
+        last_m_s, now_m_s = interval.last.wheel_speed_m_s, interval.sample.wheel_speed_m_s
         before = last_m_s if last_m_s is not None else self._held_speed_m_s
         if now_m_s is not None:
             self._held_speed_m_s = now_m_s
@@ -229,24 +205,24 @@ class WheelOdometry:
 
     def _along_variance(self, interval: _Interval, was_standing: bool) -> float:
         model, dt = self._model, interval.dt_s
-        if was_standing and self._standing:
+        if was_standing and self.standing:
             crawls = self._in_dead_zone and self._quiet_s <= model.crawl_for_s
             return model.crawl_m_sqrt_s**2 * dt if crawls else 0.0
         noise = self._speed_sigma(interval.sample)
         variance = noise * noise * max(dt, model.noise_hold_s) * dt
-        if interval.sample.speed_m_s is None or interval.last.speed_m_s is None:
+        if interval.sample.wheel_speed_m_s is None or interval.last.wheel_speed_m_s is None:
             before = self._missing_speed_sigma_m()
             self._speed_missing_s += dt
             variance += self._missing_speed_sigma_m() ** 2 - before**2
         elif interval.is_gap:
             variance += min(0.25 * model.unknown_acceleration_m_s2 * dt, model.max_speed_m_s) ** 2 * dt * dt
-        if interval.sample.speed_m_s is not None:
+        if interval.sample.wheel_speed_m_s is not None:
             self._speed_missing_s = 0.0
         return variance
 
-    def _speed_sigma(self, sample: MotionSample) -> float:
+    def _speed_sigma(self, sample: Motion) -> float:
         """Return σ of one reading; below the dead zone the wheels may read zero or anything."""
-        model, speed = self._model, sample.speed_m_s
+        model, speed = self._model, sample.wheel_speed_m_s
         if speed is None or abs(speed) > model.speed_dead_zone_m_s:
             return model.speed_noise_m_s
         return max(model.speed_noise_m_s, model.speed_dead_zone_m_s / math.sqrt(3.0))
@@ -274,9 +250,9 @@ class WheelOdometry:
         return sigma * sigma * (self._rate_missing_s**2 - before**2)
 
 
-def reading(sample: MotionSample, sensor: RateSensor) -> float | None:
+def reading(sample: Motion, sensor: RateSensor) -> float | None:
     """Return what a rotation sensor gave."""
-    return sample.yaw_rate_rad_s if sensor == "yaw_rate" else sample.steering_rad
+    return sample.yaw_rate_rad_s if sensor == "yaw_rate" else sample.steering_angle_rad
 
 
 def _mean(before: float | None, after: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""The filter's output: the pose, its mode and provenance, and the age of each source."""
+"""The filter's output: the pose, its mode and provenance, and the time of each source."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.planar_pose import largest_variance
 from camber.localizer.filter.source_conflict import ConflictSource
-from camber.localizer.links.link_matching import LinkId
+from camber.localizer.links.link_matching import LinkMatch
 
 Mode: TypeAlias = Literal["none", "provisional", "anchored", "scan_match", "dead_reckoning"]
 Provenance: TypeAlias = Literal["none", "fixes", "scan_match", "given", "confirmed"]
@@ -19,7 +19,7 @@ Provenance: TypeAlias = Literal["none", "fixes", "scan_match", "given", "confirm
 class PoseEstimate:
     """The pose of the vehicle's reference point in the plane; covariance (3, 3) of east, north [m] and yaw [rad].
 
-    Ages are None for sources that never came; speed and yaw rate are None where the last reading gave none. With an
+    Times are None for sources that never came; speed and yaw rate are None where the last reading gave none. With an
     unknown heading `yaw_known` is false and yaw has no meaning. `conflict`: the source that contradicts the pose; the
     covariance covers both.
     """
@@ -34,16 +34,10 @@ class PoseEstimate:
     covariance: Floats
     speed_m_s: float | None
     yaw_rate_rad_s: float | None
-    standing: bool
-    speed_age_s: float | None
-    rotation_age_s: float | None
-    anchor_age_s: float | None
-    match_age_s: float | None
-    link_status: Literal["none", "ambiguous", "matched"]
-    link_id: LinkId | None
-    link_level: int | None
-    link_candidates: tuple[LinkId, ...]
-    link_offset_m: float
+    rotation_read: bool
+    anchor_time_ns: int | None
+    match_time_ns: int | None
+    link: LinkMatch
     conflict: ConflictSource | None = None
     wheel_slip_suspected: bool = False
 

@@ -29,10 +29,9 @@ from camber.localizer.filter.dead_reckoning import (
     propagate,
     speed_over_ground,
 )
-from camber.localizer.filter.filter_state import DEVIATION, LANE, FilterState
+from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.heading_search import TrackedPosition
 from camber.localizer.filter.odometry import (
-    MotionSample,
     MotionStep,
     SampleOutcome,
     WheelOdometry,
@@ -52,6 +51,7 @@ from camber.localizer.filter.yaw_rate_coupling import YawRateCoupling
 from camber.localizer.links.link_coupling import CouplingOutcome, LinkCoupling
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M
+from camber.schemas.motion import Motion
 
 _NO_LAG = OverlayLag()
 _RECOVERY_SHARE = 0.01  # chosen: (a tenth)² of the offset from a pose that was given up adds to the variance
@@ -78,15 +78,12 @@ class PoseFilter:
         self._conflict = SourceConflict(self.model.holds_for_s)
         self._initialization = PoseInitialization(self.state, self._yaw_rates, self.model)
         self._provenance: Provenance = "none"
+        self._last_sample: Motion | None = None
         self._last_step: MotionStep | None = None
         self._rate_rad_s: float | None = None
-        self._speed_ns: int | None = None  # of the last reading
-        self._rotation_ns: int | None = None
         self._anchor_ns: int | None = None
         self._match_ns: int | None = None
         self._position_match_ns: int | None = None  # of the last match that determined both directions
-
-    # Output
 
     @property
     def time_ns(self) -> int | None:
@@ -117,11 +114,10 @@ class PoseFilter:
 
     def estimate(self) -> PoseEstimate | None:
         """Return the present pose; None before the first motion sample and without a start."""
-        now = self.time_ns
-        if now is None or self._provenance == "none":
+        now, sample, step = self.time_ns, self._last_sample, self._last_step
+        if now is None or sample is None or step is None or self._provenance == "none":
             return None
-        x, p, step, match = self.state.x, self.state.p, self._last_step, self._link.match
-        blind = step is None or self._speed_ns != now
+        x, blind = self.state.x, sample.wheel_speed_m_s is None
         return PoseEstimate(
             time_ns=now,
             mode=self.mode,
@@ -130,19 +126,13 @@ class PoseFilter:
             north_m=float(x[NORTH]),
             yaw_rad=wrap_pi(float(x[YAW])),
             yaw_known=self._initialization.heading_known,
-            covariance=p[:3, :3] + self._conflict.covariance(now),
-            speed_m_s=None if blind or step is None else speed_over_ground(self.state.x, step),
+            covariance=self.state.p[:3, :3] + self._conflict.covariance(now),
+            speed_m_s=None if blind else speed_over_ground(x, step),
             yaw_rate_rad_s=self._rate_rad_s,
-            standing=self._odometer.standing,
-            speed_age_s=self._age_s(self._speed_ns),
-            rotation_age_s=self._age_s(self._rotation_ns),
-            anchor_age_s=self._age_s(self._anchor_ns),
-            match_age_s=self._age_s(self._position_match_ns),
-            link_status=match.status,
-            link_id=match.link_id,
-            link_level=match.level,
-            link_candidates=match.candidates,
-            link_offset_m=float(x[LANE] + x[DEVIATION]),
+            rotation_read=reading(sample, self.model.motion.a_rate_sensor) is not None,
+            anchor_time_ns=self._anchor_ns,
+            match_time_ns=self._position_match_ns,
+            link=self._link.match,
             conflict=self._conflict.source(now),
             wheel_slip_suspected=self._wheel_slip.active,
         )
@@ -165,23 +155,18 @@ class PoseFilter:
             covariance=covariance + self._conflict.covariance(self.time_ns),
         )
 
-    # Motion
-
-    def predict(self, sample: MotionSample) -> SampleOutcome:
+    def predict(self, sample: Motion) -> SampleOutcome:
         """Propagate the pose to this sample; return whether it was used."""
         model, state = self.model.motion, self.state
         step = self._odometer.advance(sample, float(state.x[self._gyro]))
         if step.outcome in ("repeated", "backwards"):
             return step.outcome
-        if sample.speed_m_s is not None:
-            self._speed_ns = sample.time_ns
-        if reading(sample, model.a_rate_sensor) is not None:
-            self._rotation_ns = sample.time_ns
+        self._last_sample = sample
         if step.dt_s > model.max_bridge_s:
             self._lose_pose()
         bias, scale, gain = float(state.x[BIAS_A]), float(state.x[SCALE]), float(state.x[TURN_GAIN])
         turn = yaw_rate(step, model.a_rate_sensor, model, bias=bias, scale=scale, gain=gain)
-        slip_change = self._wheel_slip.before_step(sample.time_ns, sample.speed_m_s, step)
+        slip_change = self._wheel_slip.before_step(sample.time_ns, sample.wheel_speed_m_s, step)
         if self._wheel_slip.active:
             step = step._replace(standing=False, wheel_change_m_s=0.0)
         self._last_step = step
@@ -224,8 +209,6 @@ class PoseFilter:
         if self.state.horizontal_sigma_m > self.model.lost_sigma_m:
             self._lose_pose()
 
-    # Links
-
     def couple_link(self, match: LinkMatch) -> CouplingOutcome:
         """Set the current link and couple the pose with it, where due and where its direction is meaningful."""
         self._link.set_link(match)
@@ -238,8 +221,6 @@ class PoseFilter:
     def couple_rotation(self) -> None:
         """Couple the two rotation sensors, where there are two."""
         self._yaw_rates.couple()
-
-    # Anchors
 
     def anchor(self, time_ns: int, east_m: float, north_m: float, covariance: Floats) -> AnchorResult:
         """Update by the antenna's position of a *confirmed* fix, covariance (2, 2), measured at `time_ns`.
@@ -276,8 +257,6 @@ class PoseFilter:
             self._anchor_ns = time_ns if self._anchor_ns is None else max(time_ns, self._anchor_ns)
             self._anchors.forget()
         return result
-
-    # Scan matches
 
     def match(
         self,
@@ -386,8 +365,6 @@ class PoseFilter:
         if largest_variance(match.covariance) <= DEGENERATE_SIGMA_M**2:
             self._position_match_ns = match.time_ns
 
-    # Start and loss
-
     def start(self, pose: StartPose) -> bool:
         """Start from a given pose, or from fixes where `accepts_fixes` allows; return whether the pose was used."""
         if pose.provenance == "fixes":
@@ -453,9 +430,5 @@ class PoseFilter:
         return TrackPoint() if now is None else self.track.at(now)
 
     def _is_fresh(self, time_ns: int | None, for_s: float) -> bool:
-        age_s = self._age_s(time_ns)
-        return age_s is not None and age_s <= for_s
-
-    def _age_s(self, time_ns: int | None) -> float | None:
         now = self.time_ns
-        return None if time_ns is None or now is None else (now - time_ns) * 1e-9
+        return time_ns is not None and now is not None and (now - time_ns) * 1e-9 <= for_s

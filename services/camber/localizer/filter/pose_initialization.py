@@ -21,7 +21,7 @@ class PoseInitialization:
     """Sets the pose; while the heading is unknown, searches for it."""
 
     def __init__(self, state: FilterState, coupling: YawRateCoupling, model: PoseModel) -> None:
-        self._state, self._coupling, self._model = state, coupling, model
+        self._state, self._coupling = state, coupling
         self._antenna_m = (model.antenna_x_m, model.antenna_y_m)
         self._search: HeadingSearch | None = None
 
@@ -42,7 +42,7 @@ class PoseInitialization:
 
     def at_position(self, position: TrackedPosition, here: TrackPoint | None) -> None:
         """Set a known position with an unknown heading: displacements from there spread over a circle."""
-        self._search = HeadingSearch(position, self._antenna_m, self._model.heading)
+        self._search = HeadingSearch(position, self._antenna_m)
         self.spread(here)
 
     def add_position(self, position: TrackedPosition, here: TrackPoint) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from camber.localizer.filter.heading_search import HeadingModel
 from camber.localizer.filter.odometry import MotionModel
 
 
@@ -65,7 +64,6 @@ class PoseModel:
     slip_unobserved_s: float = 15.0
     locked_time_s: float = 1.0  # a vehicle on locked wheels loses two thirds of its speed in it
     locked_for_s: float = 3.0
-    heading: HeadingModel = field(default_factory=HeadingModel)
     max_yaw_sigma_rad: float = 0.5
     restart_sigma_m: float = 20.0
     lost_sigma_m: float = 500.0

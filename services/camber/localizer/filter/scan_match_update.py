@@ -21,11 +21,7 @@ import numpy as np
 
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.consistent_match_sequence import (
-    ConsistencyModel,
-    ConsistentMatchSequence,
-    MatchedPose,
-)
+from camber.localizer.filter.consistent_match_sequence import ConsistentMatchSequence, MatchedPose
 from camber.localizer.filter.dead_reckoning import EAST, NORTH, SCALE, WHEEL_LAG, WHEEL_SLIP, YAW
 from camber.localizer.filter.filter_state import MATCH_EAST, MATCH_NORTH, MATCH_YAW, FilterState
 from camber.localizer.filter.planar_pose import rotated
@@ -72,7 +68,7 @@ class ScanMatches:
 
     def __init__(self, state: FilterState, wheel_slip: WheelSlipDetector, model: PoseModel) -> None:
         self._state, self._wheel_slip, self._model = state, wheel_slip, model
-        self.sequence = ConsistentMatchSequence(ConsistencyModel(gate=model.match_gate))
+        self.sequence = ConsistentMatchSequence(model.match_gate)
         self.held_at_m = -math.inf  # path at which a match or an anchor last held the pose
         self._accepted: list[MatchedPose] = []  # of the last second
         self._last: MatchedPose | None = None

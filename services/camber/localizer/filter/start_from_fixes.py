@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,18 @@ from camber.localizer.filter.planar_pose import covariance_at_offset, largest_va
 from camber.localizer.filter.track import RelativeTrack
 
 StartProvenance: TypeAlias = Literal["given", "fixes"]
+
+# Chosen, see decision 0002: when consecutive fixes agree with one another and with the motion.
+_MIN_FIXES: Final = 5
+_MIN_DURATION_S: Final = 1.0
+_MAX_GAP_S: Final = 2.0
+_WINDOW_S: Final = 30.0
+_SIGMA_FLOOR_M: Final = 0.05
+_TOLERANCE_SIGMAS: Final = 4.0
+_TOLERANCE_PER_M: Final = 0.01
+_MAX_HEADING_SIGMA_RAD: Final = 0.15
+_MIN_BASELINE_M: Final = 1.0
+_MAX_SIGMA_M: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -44,22 +56,6 @@ class StartPose:
         require_covariance("covariance", self.covariance, 3)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixStartModel:
-    """When consecutive fixes agree with one another and with the motion; chosen, see decision 0002."""
-
-    min_fixes: int = 5
-    min_duration_s: float = 1.0
-    max_gap_s: float = 2.0
-    window_s: float = 30.0
-    sigma_floor_m: float = 0.05
-    tolerance_sigmas: float = 4.0
-    tolerance_per_m: float = 0.01
-    max_heading_sigma_rad: float = 0.15
-    min_baseline_m: float = 1.0
-    max_sigma_m: float = 1.0
-
-
 class _TimedPosition(NamedTuple):
     time_ns: int
     position: TrackedPosition
@@ -68,11 +64,8 @@ class _TimedPosition(NamedTuple):
 class StartFromFixes:
     """Collects unconfirmed fixes of the antenna (x forward, y left [m]) until they determine a pose."""
 
-    def __init__(
-        self, antenna_x_m: float = 0.0, antenna_y_m: float = 0.0, model: FixStartModel | None = None
-    ) -> None:
+    def __init__(self, antenna_x_m: float = 0.0, antenna_y_m: float = 0.0) -> None:
         self._antenna_m = (antenna_x_m, antenna_y_m)
-        self._model = model or FixStartModel()
         self._fixes: list[_TimedPosition] = []
 
     def reset(self) -> None:
@@ -93,30 +86,29 @@ class StartFromFixes:
         east_m, north_m = position_m
         require_finite(east_m=east_m, north_m=north_m)
         require_covariance("covariance", covariance, 2)
-        model = self._model
         here = track.at(time_ns)
-        variance = max(largest_variance(covariance), model.sigma_floor_m**2)
-        if here is None or variance > model.max_sigma_m**2:
+        variance = max(largest_variance(covariance), _SIGMA_FLOOR_M**2)
+        if here is None or variance > _MAX_SIGMA_M**2:
             return None
         if self._fixes and time_ns <= self._fixes[-1].time_ns:
             return None
-        if self._fixes and time_ns - self._fixes[-1].time_ns > model.max_gap_s * 1e9:
+        if self._fixes and time_ns - self._fixes[-1].time_ns > _MAX_GAP_S * 1e9:
             self._fixes.clear()
         self._fixes.append(_TimedPosition(time_ns, TrackedPosition(east_m, north_m, variance, here)))
-        oldest_ns = time_ns - round(model.window_s * 1e9)
+        oldest_ns = time_ns - round(_WINDOW_S * 1e9)
         self._fixes = [fix for fix in self._fixes if fix.time_ns >= oldest_ns]
         rotation_rad = self._rotation_of_track()
         if rotation_rad is None:
             del self._fixes[:-1]
             return None
-        long_enough = time_ns - self._fixes[0].time_ns >= model.min_duration_s * 1e9
-        if len(self._fixes) < model.min_fixes or not long_enough:
+        long_enough = time_ns - self._fixes[0].time_ns >= _MIN_DURATION_S * 1e9
+        if len(self._fixes) < _MIN_FIXES or not long_enough:
             return None
         return self._pose(rotation_rad)
 
     def _rotation_of_track(self) -> float | None:
         """Return the rotation that maps the track onto the fixes; None where they do not agree."""
-        model, positions = self._model, [fix.position for fix in self._fixes]
+        positions = [fix.position for fix in self._fixes]
         fixes = np.array([(position.east_m, position.north_m) for position in positions])
         track = np.array([antenna_on_track(position.track, self._antenna_m) for position in positions])
         fixes -= fixes.mean(axis=0)
@@ -128,18 +120,18 @@ class StartFromFixes:
         distance = np.hypot(residual[:, 0], residual[:, 1])
         path = np.array([position.track.path_m for position in positions])
         sigma = np.sqrt([position.variance_m2 for position in positions])
-        allowed = model.tolerance_sigmas * sigma + model.tolerance_per_m * (path.max() - path.min())
+        allowed = _TOLERANCE_SIGMAS * sigma + _TOLERANCE_PER_M * (path.max() - path.min())
         return angle if bool((distance <= allowed).all()) else None
 
     def _pose(self, rotation_rad: float) -> StartPose:
-        model, (time_ns, last) = self._model, self._fixes[-1]
+        time_ns, last = self._fixes[-1]
         end = antenna_on_track(last.track, self._antenna_m)
         points = [antenna_on_track(fix.position.track, self._antenna_m) for fix in self._fixes]
         far = max(points, key=lambda point: math.dist(point, end))
         baseline, variance = math.dist(far, end), last.variance_m2
         sigma_rad = math.sqrt(2.0 * variance) / baseline if baseline > 0.0 else math.inf
         yaw_rad, east, north = None, 0.0, 0.0
-        if baseline < model.min_baseline_m or sigma_rad > model.max_heading_sigma_rad:
+        if baseline < _MIN_BASELINE_M or sigma_rad > _MAX_HEADING_SIGMA_RAD:
             lever_var = 0.5 * (self._antenna_m[0] ** 2 + self._antenna_m[1] ** 2)
             covariance = np.diag([variance + lever_var, variance + lever_var, math.pi**2])
         else:

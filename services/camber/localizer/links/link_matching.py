@@ -22,13 +22,54 @@ from numpy.typing import NDArray
 
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats, require_array, require_finite
-from camber.localizer.links.link_line import LinkLine
 
 LinkId: TypeAlias = int | str
 MatchStatus: TypeAlias = Literal["none", "ambiguous", "matched"]
 
 _SHARP_BEND_RAD: Final = math.radians(25.0)
 """Chosen: at a sharper bend, or an end without a continuation within it, the link's direction is not used."""
+# When a hypothesis is plausible. Chosen, from the width of roads and the distance of a link's vertices; what follows is
+# measured by `support.tunnel_statistics`.
+_LANE_SIGMA_M: Final = 3.0
+_PLAUSIBLE_SIGMAS: Final = 3.5
+_EVIDENCE_PER_M: Final = 1.0 / 25.0
+_U_TURN_PENALTY: Final = 4.0
+_STEP_BACK_PENALTY: Final = 1.0
+_FORGET_BELOW: Final = 12.0
+_AMBIGUOUS_ABOVE: Final = 4.6
+_LOST_AFTER_M: Final = 20.0
+_REGAIN_AFTER_M: Final = 20.0
+_MIN_STEP_M: Final = 1.0
+_SEARCH_MARGIN_M: Final = 25.0
+_MAX_SEARCH_M: Final = 150.0
+_MAX_YAW_SIGMA_RAD: Final = 0.5
+_DIRECTION_SIGMA_RAD: Final = math.radians(12.0)
+_PLAUSIBLE_ANGLE_RAD: Final = math.radians(60.0)
+_SAME_DIRECTION_RAD: Final = math.radians(20.0)
+
+
+class LinkLine(NamedTuple):
+    """The line of a piece of link, CN101360971 eq. (2): `-x sin(alpha) + y cos(alpha) + c = 0`.
+
+    Direction, counter-clockwise from east [rad], and signed normal offset [m], with the origin near the vehicle: the
+    derivative of `c` by `alpha` grows with the distance from it.
+    """
+
+    alpha_rad: float
+    c_m: float
+
+    def offset_m(self, east_m: float, north_m: float) -> float:
+        """Return the signed distance of a point from the line, positive to the left of its direction."""
+        return -east_m * math.sin(self.alpha_rad) + north_m * math.cos(self.alpha_rad) + self.c_m
+
+    @property
+    def normal(self) -> tuple[float, float]:
+        """The derivatives of `offset_m` by east and north."""
+        return -math.sin(self.alpha_rad), math.cos(self.alpha_rad)
+
+    def shifted(self, east_m: float, north_m: float) -> LinkLine:
+        """Return the line in a plane whose origin has moved by (east, north)."""
+        return LinkLine(self.alpha_rad, self.offset_m(east_m, north_m))
 
 
 class _DirectedLink(NamedTuple):
@@ -63,29 +104,6 @@ class RoadLink:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MatchingModel:
-    """When a hypothesis is plausible. Chosen, from the width of roads and the distance of a link's vertices; what
-    follows from them is measured by `support.tunnel_statistics`."""
-
-    lane_sigma_m: float = 3.0
-    direction_sigma_rad: float = math.radians(12.0)
-    plausible_angle_rad: float = math.radians(60.0)
-    plausible_sigmas: float = 3.5
-    evidence_per_m: float = 1.0 / 25.0
-    u_turn_penalty: float = 4.0
-    step_back_penalty: float = 1.0
-    forget_below: float = 12.0
-    ambiguous_above: float = 4.6
-    same_direction_rad: float = math.radians(20.0)
-    lost_after_m: float = 20.0
-    regain_after_m: float = 20.0
-    min_step_m: float = 1.0
-    search_margin_m: float = 25.0
-    max_search_m: float = 150.0
-    max_yaw_sigma_rad: float = 0.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkMatch:
     """The current link. `line` is directed along the travel; `level` is None where candidates differ in it;
     `station_m` is the distance along the link from its start, `to_sharp_m` that to the nearest sharp bend or dead
@@ -115,7 +133,7 @@ class _LinkProjection(NamedTuple):
 
 
 class LinkNetwork:
-    """Links as flat arrays of segments with a grid over them, and the links at each node."""
+    """Links as flat arrays of segments, and the links at each node."""
 
     def __init__(self, links: Sequence[RoadLink]) -> None:
         self.links = tuple(_without_repeats(link) for link in links)
@@ -136,15 +154,6 @@ class LinkNetwork:
         self._direction = np.concatenate([empty, *steps]) / self._length[:, None]
         self._station = np.concatenate([np.zeros(0), *(station[:-1] for station in self._stations)])
         self._owner = np.repeat(np.arange(len(self.links)), [len(length) for length in self._lengths])
-        self._cell_m = 64.0  # chosen: about a link's segment
-        self._cells: dict[tuple[int, int], list[int]] = {}
-        end = self._start + self._direction * self._length[:, None]
-        low = np.floor(np.minimum(self._start, end) / self._cell_m).astype(int)
-        high = np.floor(np.maximum(self._start, end) / self._cell_m).astype(int)
-        for index in range(len(self._start)):
-            for i in range(low[index, 0], high[index, 0] + 1):
-                for j in range(low[index, 1], high[index, 1] + 1):
-                    self._cells.setdefault((i, j), []).append(index)
 
     def _sharp_stations(self, index: int) -> NDArray[np.float64]:
         """Return stations of the link's sharp bends, and of its ends where no other link continues straight on."""
@@ -191,24 +200,16 @@ class LinkNetwork:
 
     def projections(self, east_m: float, north_m: float, radius_m: float) -> dict[int, _LinkProjection]:
         """Return the nearest points of the links within the radius, by link index."""
-        i0, i1 = (math.floor((east_m + r) / self._cell_m) for r in (-radius_m, radius_m))
-        j0, j1 = (math.floor((north_m + r) / self._cell_m) for r in (-radius_m, radius_m))
-        cells = self._cells
-        near = {k for i in range(i0, i1 + 1) for j in range(j0, j1 + 1) for k in cells.get((i, j), ())}
-        if not near:
-            return {}
-        index = np.fromiter(near, dtype=np.intp, count=len(near))
-        start, direction = self._start[index], self._direction[index]
-        off_east, off_north = east_m - start[:, 0], north_m - start[:, 1]
-        along = np.clip(off_east * direction[:, 0] + off_north * direction[:, 1], 0.0, self._length[index])
+        off_east, off_north = east_m - self._start[:, 0], north_m - self._start[:, 1]
+        direction = self._direction
+        along = np.clip(off_east * direction[:, 0] + off_north * direction[:, 1], 0.0, self._length)
         off_east -= along * direction[:, 0]
         off_north -= along * direction[:, 1]
         distance = np.hypot(off_east, off_north)
+        near = np.flatnonzero(distance <= radius_m)
         nearest: dict[int, _LinkProjection] = {}
-        for k in np.lexsort((index, distance)):
-            if distance[k] > radius_m:
-                break
-            owner = int(self._owner[index[k]])
+        for k in near[np.argsort(distance[near], kind="stable")]:
+            owner = int(self._owner[k])
             if owner in nearest:
                 continue
             d, (u, v) = float(distance[k]), direction[k]
@@ -218,9 +219,9 @@ class LinkNetwork:
                 normal_east=normal[0],
                 normal_north=normal[1],
                 alpha_rad=math.atan2(v, u),
-                start_east_m=float(start[k, 0]),
-                start_north_m=float(start[k, 1]),
-                station_m=float(self._station[index[k]] + along[k]),
+                start_east_m=float(self._start[k, 0]),
+                start_north_m=float(self._start[k, 1]),
+                station_m=float(self._station[k] + along[k]),
             )
         return nearest
 
@@ -228,9 +229,8 @@ class LinkNetwork:
 class LinkMatcher:
     """Matches the vehicle to the network."""
 
-    def __init__(self, network: LinkNetwork, model: MatchingModel | None = None) -> None:
+    def __init__(self, network: LinkNetwork) -> None:
         self._network = network
-        self._model = model or MatchingModel()
         self.reset()
 
     def reset(self) -> None:
@@ -253,7 +253,7 @@ class LinkMatcher:
         self._network = network
         self._match = LinkMatch(status="none")
         if self._travelled_m is not None:
-            self._travelled_m -= self._model.min_step_m
+            self._travelled_m -= _MIN_STEP_M
 
     def step(self, pose: tuple[float, float, float], covariance: Floats, *, travelled_m: float) -> LinkMatch:
         """Return the match at a pose (east, north, yaw; covariance (3, 3)) after a path of `travelled_m` in total.
@@ -263,7 +263,7 @@ class LinkMatcher:
         east_m, north_m, yaw_rad = pose
         require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad, travelled_m=travelled_m)
         moved = math.inf if self._travelled_m is None else travelled_m - self._travelled_m
-        if 0.0 <= moved < self._model.min_step_m:
+        if 0.0 <= moved < _MIN_STEP_M:
             return self._match
         require_array("covariance", covariance, (3, 3))
         self._travelled_m = travelled_m
@@ -271,9 +271,8 @@ class LinkMatcher:
         return self._match
 
     def _next(self, pose: tuple[float, float, float], p: Floats, *, moved_m: float) -> LinkMatch:
-        model = self._model
-        radius = 3.0 * math.sqrt(max(0.0, float(p[0, 0]) + float(p[1, 1]))) + model.search_margin_m
-        if radius > model.max_search_m:
+        radius = 3.0 * math.sqrt(max(0.0, float(p[0, 0]) + float(p[1, 1]))) + _SEARCH_MARGIN_M
+        if radius > _MAX_SEARCH_M:
             self.reset()
             return self._match
         nearest = self._network.projections(pose[0], pose[1], radius)
@@ -281,12 +280,12 @@ class LinkMatcher:
         if not self._weights:
             self._weights = {key: evidence[key] for key in plausible}
         else:
-            self._pass_on(evidence, min(1.0, moved_m * model.evidence_per_m))
+            self._pass_on(evidence, min(1.0, moved_m * _EVIDENCE_PER_M))
         self._drop_unlikely()
         alive = plausible & self._weights.keys()
         self._lost_m = 0.0 if alive else self._lost_m + moved_m
         self._regained_m += moved_m if alive else 0.0
-        if not alive and (not self._weights or self._lost_m > model.lost_after_m):
+        if not alive and (not self._weights or self._lost_m > _LOST_AFTER_M):
             self._weights, self._lost_m, self._regained_m = {}, 0.0, 0.0
         if not alive:
             return LinkMatch(status="none")
@@ -296,15 +295,14 @@ class LinkMatcher:
         self, nearest: dict[int, _LinkProjection], yaw: float, p: Floats
     ) -> tuple[dict[_DirectedLink, float], set[_DirectedLink]]:
         """Return the log-likelihood of each (link, direction), and those that are plausible at this pose alone."""
-        model = self._model
         pee, pnn, pen, pyy = float(p[0, 0]), float(p[1, 1]), float(p[0, 1]), float(p[2, 2])
         evidence: dict[_DirectedLink, float] = {}
         plausible: set[_DirectedLink] = set()
-        heading_var = pyy + model.direction_sigma_rad**2
-        widest = model.plausible_angle_rad + 3.0 * math.sqrt(pyy)
+        heading_var = pyy + _DIRECTION_SIGMA_RAD**2
+        widest = _PLAUSIBLE_ANGLE_RAD + 3.0 * math.sqrt(pyy)
         for link, point in nearest.items():
             u, v = point.normal_east, point.normal_north
-            link_var = self._network.links[link].sigma_m ** 2 + model.lane_sigma_m**2
+            link_var = self._network.links[link].sigma_m ** 2 + _LANE_SIGMA_M**2
             variance = link_var + u * u * pee + v * v * pnn + 2.0 * u * v * pen
             d2 = point.distance_m**2 / variance
             for key in (_DirectedLink(link, True), _DirectedLink(link, False)):
@@ -312,13 +310,12 @@ class LinkMatcher:
                     continue
                 turn = abs(wrap_pi(yaw - point.alpha_rad - (0.0 if key.forward else math.pi)))
                 evidence[key] = -0.5 * (min(d2, 40.0) + min(turn * turn / heading_var, 20.0))
-                if d2 <= model.plausible_sigmas**2 and turn <= widest:
+                if d2 <= _PLAUSIBLE_SIGMAS**2 and turn <= widest:
                     plausible.add(key)
         return evidence, plausible
 
     def _pass_on(self, evidence: dict[_DirectedLink, float], share: float) -> None:
         """Pass the weights on along the topology, and add a share of the evidence."""
-        model = self._model
         prior = dict(self._weights)
 
         def offer(key: _DirectedLink, weight: float) -> None:
@@ -326,39 +323,39 @@ class LinkMatcher:
                 prior[key] = weight
 
         for key, weight in self._weights.items():
-            offer(key.reversed(), weight - model.u_turn_penalty)
+            offer(key.reversed(), weight - _U_TURN_PENALTY)
             for k in self._network.successors(key):
                 offer(k, weight)
             for k in self._network.predecessors(key):
-                offer(k, weight - model.step_back_penalty)
+                offer(k, weight - _STEP_BACK_PENALTY)
         self._weights = {key: weight + share * evidence.get(key, -30.0) for key, weight in prior.items()}
 
     def _drop_unlikely(self) -> None:
         if not self._weights:
             return
         best = max(self._weights.values())
-        floor = best - self._model.forget_below
+        floor = best - _FORGET_BELOW
         self._weights = {key: w - best for key, w in self._weights.items() if w >= floor}
 
     def _best_match(
         self, alive: set[_DirectedLink], nearest: dict[int, _LinkProjection], yaw_var: float
     ) -> LinkMatch:
-        model, links = self._model, self._network.links
+        links = self._network.links
         best = max(alive, key=lambda key: (self._weights[key], -nearest[key.link].distance_m, key))
-        threshold = self._weights[best] - model.ambiguous_above
+        threshold = self._weights[best] - _AMBIGUOUS_ABOVE
         near = sorted((k for k in alive if self._weights[k] >= threshold), key=lambda k: -self._weights[k])
         rivals = [k for k in near if not self._same_road(best, k, nearest)]
         levels = {links[k.link].level for k in near}
         point = nearest[best.link]
         alpha = point.alpha_rad if best.forward else wrap_pi(point.alpha_rad + math.pi)
         c = point.start_east_m * math.sin(alpha) - point.start_north_m * math.cos(alpha)
-        settled = not rivals and self._regained_m >= model.regain_after_m
+        settled = not rivals and self._regained_m >= _REGAIN_AFTER_M
         return LinkMatch(
             status="matched" if settled else "ambiguous",
             link_id=links[best.link].link_id,
             forward=best.forward,
             level=levels.pop() if len(levels) == 1 else None,
-            line=LinkLine(alpha, c) if math.sqrt(yaw_var) <= model.max_yaw_sigma_rad else None,
+            line=LinkLine(alpha, c) if math.sqrt(yaw_var) <= _MAX_YAW_SIGMA_RAD else None,
             sigma_m=links[best.link].sigma_m,
             to_sharp_m=self._network.to_sharp_m(best.link, point.station_m),
             candidates=tuple(dict.fromkeys(links[k.link].link_id for k in near)),
@@ -374,7 +371,7 @@ class LinkMatcher:
             return False
         turn = nearest[a.link].alpha_rad - nearest[b.link].alpha_rad
         turn += 0.0 if a.forward == b.forward else math.pi
-        if abs(wrap_pi(turn)) > self._model.same_direction_rad:
+        if abs(wrap_pi(turn)) > _SAME_DIRECTION_RAD:
             return False
         return b in self._network.successors(a) or a in self._network.successors(b)
 

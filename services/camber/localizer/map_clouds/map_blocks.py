@@ -76,7 +76,7 @@ class _StoredTile:
 class MapBlock:
     """The map around a position. `environment_m` (n, 3), `road_m` (k, 3) and `road` are in the block's frame.
 
-    `missing` names tiles that the map does not have. Search structures are built when first needed.
+    Search structures are built when first needed.
     """
 
     frame: LocalFrame
@@ -84,7 +84,6 @@ class MapBlock:
     environment_m: Floats
     road_m: Floats
     road: RoadHeights
-    missing: tuple[str, ...]
 
     def __post_init__(self) -> None:
         self._layers: dict[tuple[float, float, bool], LayerTarget] = {}
@@ -271,7 +270,6 @@ class MapBlockStore:
             environment_m=environment,
             road_m=road,
             road=heights,
-            missing=tuple(f"{layer} {x} {y}" for layer, x, y in missing),
         )
 
 

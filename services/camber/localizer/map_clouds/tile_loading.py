@@ -61,33 +61,22 @@ class CloudTileLoader:
         paused = self._paused_ns is not None and 0 <= now_ns - self._paused_ns < _PAUSE_NS
         if paused or not self._map_queries.is_available():
             return
-        parts = _PARTS_PER_STEP
-        while parts > 0:
+        for _ in range(_PARTS_PER_STEP):
             if self._fetch is None:
                 key = next(iter((*needed, *self._stale)), None)
                 if key is None:
                     return
-                self._fetch = TileFetch(*key, have_sha256=self._sha256.get(key), parts_per_step=parts)
-            parts -= self._step(self._fetch, now_ns)
-            if self._paused_ns == now_ns:
+                self._fetch = TileFetch(*key, have_sha256=self._sha256.get(key))
+            reply = self._map_queries.tile(self._fetch.request(now_ns))
+            if isinstance(reply, MapQueryFailure):
+                self._diagnostics.issue("no_tile", reply.text)
+                self._paused_ns = now_ns
                 return
+            self._fetch.receive(reply)
             if self._fetch.state != "loading":
                 done = self._finish(self._fetch)
                 needed = [key for key in needed if key != done]
                 self._fetch = None
-
-    def _step(self, fetch: TileFetch, now_ns: int) -> int:
-        """Request some parts; return their number."""
-        requested = 0
-        for request in fetch.requests(now_ns):
-            reply = self._map_queries.tile(request)
-            if isinstance(reply, MapQueryFailure):
-                self._diagnostics.issue("no_tile", reply.text)
-                self._paused_ns = now_ns
-                break
-            fetch.receive(request.part, reply)
-            requested += 1
-        return max(requested, 1)
 
     def _finish(self, fetch: TileFetch) -> _TileKey:
         key: _TileKey = (fetch.layer, fetch.x, fetch.y)

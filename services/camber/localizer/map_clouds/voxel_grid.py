@@ -1,6 +1,9 @@
-"""Voxel grid: the mean of the points in each voxel, or the first one; the same bits on every run."""
+"""Voxel grid: the mean of the points in each voxel, or the first one, and downsampling by it; the same bits on every
+run."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +13,7 @@ from camber.localizer.arrays import Floats, Integers
 
 _HALF = 1 << 20  # cells to each side of the origin along one axis: ±262 km at 0.25 m
 _MASK = (1 << 21) - 1  # 21 bits per axis, 63 in a key
+_COARSER = 1.1  # chosen: least growth of the voxel from one pass of downsampling to the next
 
 
 def voxel_means(points_m: Floats, voxel_m: float) -> Floats:
@@ -19,6 +23,29 @@ def voxel_means(points_m: Floats, voxel_m: float) -> Floats:
     """
     means: Floats = _voxel_means(np.ascontiguousarray(points_m, np.float64), voxel_m)
     return means
+
+
+def thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floats:
+    """Return at most so many of the points (n, 3) [m], one per voxel, in their order.
+
+    Voxels grow from `voxel_m` until they are few enough. No means: the mean of points at a corner lies off both faces.
+    """
+    points_m = np.ascontiguousarray(points_m, dtype=np.float64)
+    while len(points_m) > at_most:
+        points_m = points_m[first_of_voxels(points_m, voxel_m)]
+        voxel_m *= max(_COARSER, 0.9 * math.sqrt(len(points_m) / at_most))
+    return points_m
+
+
+def voxel_count(points_m: Floats, voxel_m: float) -> int:
+    """Return the number of voxels that hold a point of (n, 3) [m]."""
+    return len(first_of_voxels(np.ascontiguousarray(points_m), voxel_m))
+
+
+def first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
+    """Return rows of the first point of each voxel, ascending."""
+    _, first = voxels(points_m, voxel_m)
+    return first
 
 
 @compiled_without_gil

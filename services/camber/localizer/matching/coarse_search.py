@@ -93,7 +93,8 @@ def search(scan: MatchInput, options: MatchOptions, reach: SearchRange = FULL_RA
     if best.status == "lost":
         rivals = ()
     if rivals:
-        spread = sum((_offset_square(best, rival) for rival in rivals), np.zeros((3, 3)))
+        offsets = (_apart(best, rival) for rival in rivals)
+        spread = sum((np.outer(offset, offset) for offset in offsets), np.zeros((3, 3)))
         match = replace(best, status="ambiguous", reason="not_unique", covariance=best.covariance + spread)
     return SearchResult(match=match, unique=unique, score=score, best=best, rivals=rivals)
 
@@ -112,16 +113,14 @@ def match_score(match: LayeredMatch) -> float:
     return sum(layer.inliers * layer.fit.points for layer in match.layers) / points if points else 0.0
 
 
-def _offset_square(match: LayeredMatch, rival: LayeredMatch) -> Floats:
-    """Return what the covariance (3, 3) of a match lacks to cover a rival."""
-    turn = wrap_pi(rival.yaw_rad - match.yaw_rad)
-    offset = np.array([rival.east_m - match.east_m, rival.north_m - match.north_m, turn])
-    return np.outer(offset, offset)
+def _apart(a: LayeredMatch, b: LayeredMatch) -> Floats:
+    """Return east, north [m], yaw [rad] (3,) from one match to another."""
+    return np.array([b.east_m - a.east_m, b.north_m - a.north_m, wrap_pi(b.yaw_rad - a.yaw_rad)])
 
 
 def _is_same(a: LayeredMatch, b: LayeredMatch) -> bool:
-    turn = wrap_pi(a.yaw_rad - b.yaw_rad)
-    return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) < _SAME_M and abs(turn) < _SAME_RAD
+    east_m, north_m, turn_rad = _apart(a, b)
+    return math.hypot(east_m, north_m) < _SAME_M and abs(turn_rad) < _SAME_RAD
 
 
 def _candidates(scan: MatchInput, options: MatchOptions, reach: SearchRange) -> list[Floats]:

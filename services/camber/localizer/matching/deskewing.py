@@ -28,14 +28,22 @@ class SweepTimes(NamedTuple):
     span_ns: int
 
 
-class SweepLimits(NamedTuple):
-    """Range from the sensor, and the rectangle of the vehicle, whose points are left out [m]."""
+class SweepOptions(NamedTuple):
+    """Which points of a sweep are used, by range from the sensor, and the rectangle of the vehicle: points above
+    or below it are taken for its parts."""
 
-    min_range_m: float
-    max_range_m: float
-    rear_m: float
-    front_m: float
-    half_width_m: float
+    voxel_m: float = 0.3
+    min_range_m: float = 1.0
+    max_range_m: float = 65.0
+    vehicle_rear_m: float = 1.5
+    vehicle_front_m: float = 4.5
+    vehicle_half_width_m: float = 1.15
+    longest_s: float = 0.2
+    min_coverage: float = 0.6
+    min_points: int = 200
+    max_bad_share: float = 0.05
+    ahead_s: float = 0.05
+    too_old_s: float = 1.0
 
 
 def sweep_motions(track: RelativeTrack, time_ns: int, span_ns: int) -> tuple[Floats, TrackPoint | None]:
@@ -61,7 +69,7 @@ def sweep_motions(track: RelativeTrack, time_ns: int, span_ns: int) -> tuple[Flo
 
 @compiled_without_gil
 def deskew(
-    points_m: NDArray[np.float32], times: SweepTimes, vehicle_from_sensor: Floats, limits: SweepLimits
+    points_m: NDArray[np.float32], times: SweepTimes, vehicle_from_sensor: Floats, options: SweepOptions
 ) -> tuple[Floats, Mask]:
     """Return the points in the vehicle frame of the end, and which sectors have any point."""
     n, knots = len(points_m), len(vehicle_from_sensor)
@@ -76,7 +84,7 @@ def deskew(
         if not np.isfinite(squared):
             continue
         offset = times.offset_ns[i]
-        if offset > 0 or offset < -times.longest_ns or squared < limits.min_range_m * limits.min_range_m:
+        if offset > 0 or offset < -times.longest_ns or squared < options.min_range_m * options.min_range_m:
             continue
         # Cheaper than an arctangent: around the circle from 0 to 4, a quarter each.
         size = abs(x) + abs(y)
@@ -87,7 +95,7 @@ def deskew(
             elif y < 0.0:
                 around += 4.0
             seen[min(int(around * (SECTORS / 4.0)), SECTORS - 1)] = True
-        if squared > limits.max_range_m * limits.max_range_m:
+        if squared > options.max_range_m * options.max_range_m:
             continue
         knot = (times.span_ns + offset) * per_ns
         k = min(int(knot), knots - 2)
@@ -108,7 +116,7 @@ def deskew(
         )
         # The motion is in the plane and does not change the heights.
         pz = a[2, 0] * x + a[2, 1] * y + a[2, 2] * z + a[2, 3]
-        if limits.rear_m < px < limits.front_m and abs(py) < limits.half_width_m:
+        if -options.vehicle_rear_m < px < options.vehicle_front_m and abs(py) < options.vehicle_half_width_m:
             continue
         kept[at, 0], kept[at, 1], kept[at, 2] = px, py, pz
         at += 1

@@ -11,11 +11,11 @@ import numpy as np
 
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.localizer.arrays import Floats
+from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.map_clouds.map_blocks import MapBlock
 from camber.localizer.matching.road_plane_fit import RoadFit, fit_road
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.road.road_attitude import REACH_M, GroundPlane, road_line
-from camber.localizer.road.road_raster import RoadElevation
 
 RoadBy: TypeAlias = Literal["surface", "line"]
 
@@ -70,7 +70,7 @@ def align_to_road(
     surface = None if here is None else block.road.surface_through(pose.east_m, pose.north_m, here.height_m)
     if here is None or surface is None:
         return None
-    forward, left = _slopes(here, pose.yaw_rad)
+    forward, left = rotated(-pose.yaw_rad, here.slope_east, here.slope_north)
     pitch_rad = -math.atan(forward)
     roll_rad = math.atan(left * math.cos(pitch_rad))
     guess = map_from_vehicle(
@@ -110,7 +110,7 @@ def measure_sensor_heights(
     here = block.road.elevation(float(sensor_m[0]), float(sensor_m[1]), float(sensor_m[2]) - mount.z_m)
     if here is None or here.distance_m > _ABOVE_ROAD_M:
         return SensorHeights(map_from_vehicle=matched, misplaced=misplaced)
-    forward, left = _slopes(here, math.atan2(matched[1, 0], matched[0, 0]))
+    forward, left = rotated(-math.atan2(matched[1, 0], matched[0, 0]), here.slope_east, here.slope_north)
     matched_m = matched_sigma_m = None
     if road is not None and road.status == "converged":
         lever_m = np.array([1.0, mount.y_m, -mount.x_m])  # of up, roll, pitch
@@ -135,9 +135,3 @@ def _fit_sweep_to_road(sweep_m: Floats, guess: Floats, block: MapBlock) -> RoadF
         return None
     fit = fit_road(sweep_m, surface.height_above(transform_points(guess, sweep_m)), block.road_target, guess)
     return None if fit.status == "lost" else fit
-
-
-def _slopes(road: RoadElevation, yaw_rad: float) -> tuple[float, float]:
-    """Return the road's slopes forward and to the left of a heading."""
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return (road.slope_east * cos + road.slope_north * sin, -road.slope_east * sin + road.slope_north * cos)

@@ -20,7 +20,7 @@ from typing import Final, Literal, TypeAlias, get_args
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.map_clouds.downsampling import thinned_evenly
+from camber.localizer.map_clouds.voxel_grid import thinned_evenly
 from camber.localizer.matching.icp import (
     Correspondences,
     IcpOptions,
@@ -32,10 +32,10 @@ from camber.localizer.matching.icp import (
 )
 from camber.localizer.matching.layer_selection import LayerEstimate, select
 from camber.localizer.matching.match_covariance import (
-    common_covariance,
+    COMMON_COVARIANCE,
+    UNSEEN_COVARIANCE,
     is_degenerate,
     planar_covariance,
-    unseen_covariance,
     without_degenerate,
 )
 from camber.localizer.matching.registration import LayerBounds, LayerFit, LayerTarget, Method, register
@@ -102,15 +102,11 @@ class MatchInput:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LayerMatch:
-    """The match of one layer."""
+class LayerMatch(LayerEstimate):
+    """The match of one layer: the estimate is of L's origin."""
 
     bounds_m: tuple[float, float]
     fit: LayerFit
-    offset: Floats
-    """(3,) east, north [m], yaw [rad] of L's origin from the guess."""
-    covariance: Floats
-    """(3, 3) of them."""
     residual: float
     """Root mean square of residual / σ of the point-to-plane residuals, outliers weighted down."""
     inliers: float
@@ -236,6 +232,7 @@ def _register_layer(
         fit=fit,
         offset=offset,
         covariance=covariance,
+        mean_distance_m=fit.mean_distance_m,
         residual=residual,
         inliers=float(np.mean(equations.inliers)) if len(source_m) else 0.0,
         outcome=outcome,
@@ -260,22 +257,14 @@ def _select(layers: list[LayerMatch], guess: Floats, options: MatchOptions) -> L
             status="lost",
             reason=failure,  # type: ignore[arg-type]
             map_from_local=guess.copy(),
-            covariance=unseen_covariance(),
+            covariance=UNSEEN_COVARIANCE.copy(),
             layers=tuple(layers),
         )
-    estimates = [
-        LayerEstimate(
-            offset=layers[i].offset,
-            covariance=layers[i].covariance,
-            mean_distance_m=layers[i].fit.mean_distance_m,
-        )
-        for i in usable
-    ]
-    selected = select(estimates, "voted" if options.choice == "whole" else options.choice)
+    selected = select([layers[i] for i in usable], "voted" if options.choice == "whole" else options.choice)
     for i, used in zip(usable, selected.used, strict=True):
         if not used:
             layers[i] = replace(layers[i], outcome="voted_out")
-    covariance = selected.covariance + common_covariance()
+    covariance = selected.covariance + COMMON_COVARIANCE
     offset = without_degenerate(selected.offset, covariance)
     status: MatchStatus = "ambiguous"
     reason: MatchReason = "direction_unseen"

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.map_clouds.downsampling import voxel_count
+from camber.localizer.map_clouds.voxel_grid import voxel_count
 from camber.localizer.matching.icp import NormalEquations
 
 PATCH_M: Final = 1.0
@@ -19,11 +19,12 @@ PATCH_M: Final = 1.0
 # Chosen: best σ of a layer's position and yaw, by deformation of the map and motion within the sweeps.
 FLOOR_M: Final = 0.01
 FLOOR_RAD: Final = 5.0e-4
-COMMON_RAD: Final = 4.0e-4
-"""Chosen: σ of the yaw common to all layers, by motion within the sweep and the sensor's mounting."""
+COMMON_COVARIANCE: Final = np.diag([0.0, 0.0, 4.0e-4**2])
+"""(3, 3), chosen: σ of the yaw common to all layers, by motion within the sweep and the sensor's mounting."""
 # Chosen: σ of a direction that the match does not observe.
 UNSEEN_M: Final = 10.0
 UNSEEN_RAD: Final = 0.35
+UNSEEN_COVARIANCE: Final = np.diag([UNSEEN_M**2, UNSEEN_M**2, UNSEEN_RAD**2])
 LEVER_M: Final = 20.0
 """Chosen: a turn is compared with a shift by its motion at this distance, that of the houses."""
 DEGENERATE_SIGMA_M: Final = 0.5
@@ -42,16 +43,6 @@ def planar_covariance(equations: NormalEquations, source_m: Floats) -> Floats:
         excess = max(1.0, equations.square / equations.weight)
         information = information + equations.information() * (patches / inliers / excess)
     return np.linalg.inv(information) + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
-
-
-def common_covariance() -> Floats:
-    """Return the covariance (3, 3) of errors that are common to all layers."""
-    return np.diag([0.0, 0.0, COMMON_RAD**2])
-
-
-def unseen_covariance() -> Floats:
-    """Return the covariance (3, 3) of a match that observes nothing."""
-    return np.diag([UNSEEN_M**2, UNSEEN_M**2, UNSEEN_RAD**2])
 
 
 def principal_axes(covariance: Floats) -> tuple[Floats, Floats]:

@@ -7,14 +7,13 @@ pavements and verges are as low, but do not count for or against the road.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.map_clouds.downsampling import thinned_evenly, voxel_count
+from camber.localizer.map_clouds.voxel_grid import thinned_evenly, voxel_count
 from camber.localizer.matching.icp import (
     IcpOptions,
     find_correspondences,
@@ -50,10 +49,6 @@ class RoadFit:
     status: Literal["converged", "ambiguous", "lost"]
     map_from_local: Floats
     covariance: Floats
-    points: int
-    inliers: int
-    residual: float
-    """Root mean square of residual / σ."""
 
 
 def fit_road(local_points_m: Floats, heights_m: Floats, road: LayerTarget, guess: Floats) -> RoadFit:
@@ -65,31 +60,18 @@ def fit_road(local_points_m: Floats, heights_m: Floats, road: LayerTarget, guess
     near = np.hypot(local_points_m[:, 0], local_points_m[:, 1]) < NEAR_M
     ground = thinned_evenly(local_points_m[near & (np.abs(heights_m) < GROUND_M)], _MAX_POINTS)
     ground = ground[find_correspondences(road, ground, guess)[1] <= _ICP.max_distance_m]
-    inliers, residual, converged = 0, math.inf, False
-    if len(ground) >= _MIN_POINTS:
-        fit = icp_point_to_plane([(road, ground)], guess, _ICP)
-        correspondences = find_correspondences(road, ground, fit.transform)
-        equations = normal_equations(road, ground, fit.transform, correspondences, free=_ICP.free)
-        inliers, residual = int(np.count_nonzero(equations.inliers)), equations.rms()
-        converged = fit.converged and 2 * inliers >= len(ground) and residual <= _MAX_RESIDUAL
-    if not converged:
-        return RoadFit(
-            status="lost",
-            map_from_local=guess.copy(),
-            covariance=np.diag(_UNSEEN**2),
-            points=len(ground),
-            inliers=inliers,
-            residual=residual,
-        )
+    lost = RoadFit(status="lost", map_from_local=guess.copy(), covariance=np.diag(_UNSEEN**2))
+    if len(ground) < _MIN_POINTS:
+        return lost
+    fit = icp_point_to_plane([(road, ground)], guess, _ICP)
+    correspondences = find_correspondences(road, ground, fit.transform)
+    equations = normal_equations(road, ground, fit.transform, correspondences, free=_ICP.free)
+    inliers, residual = int(np.count_nonzero(equations.inliers)), equations.rms()
+    if not fit.converged or 2 * inliers < len(ground) or residual > _MAX_RESIDUAL:
+        return lost
     patches = voxel_count(ground[equations.inliers], PATCH_M)
     information = np.diag(_UNSEEN**-2) + equations.information() * (patches / inliers / max(1.0, residual**2))
     covariance = _FLOOR + np.linalg.inv(information)
     observed = bool((np.diag(covariance) < 0.01 * _UNSEEN**2).all())
-    return RoadFit(
-        status="converged" if observed else "ambiguous",
-        map_from_local=fit.transform,
-        covariance=covariance,
-        points=len(ground),
-        inliers=inliers,
-        residual=residual,
-    )
+    status: Literal["converged", "ambiguous"] = "converged" if observed else "ambiguous"
+    return RoadFit(status=status, map_from_local=fit.transform, covariance=covariance)

@@ -53,6 +53,6 @@ def scan_match_message(
 
 def _layer_distances(match: LayeredMatch) -> dict[str, Any]:
     """Return the layers that had correspondences, and their mean distances."""
-    distances = np.array([layer.fit.mean_distance_m for layer in match.layers])
+    distances = np.array([layer.mean_distance_m for layer in match.layers])
     layer = np.flatnonzero(np.isfinite(distances))
     return {"layer": layer.astype(np.int32), "layer_mean_distance_m": distances[layer]}

@@ -32,6 +32,7 @@ from camber.localizer.matching.coarse_search import (
     search,
     seems_mirrored,
 )
+from camber.localizer.matching.deskewing import SweepOptions
 from camber.localizer.matching.ground_alignment import (
     GroundAlignment,
     PlanarPose,
@@ -54,7 +55,6 @@ from camber.localizer.matching.shift_profile import log_likelihoods, shift_profi
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
     SensorMount,
-    SweepOptions,
     prepare_sweep,
 )
 from camber.localizer.road.road_attitude import GroundPlane, ground_plane
@@ -162,8 +162,6 @@ class ScanMatcher:
         self._last: _MatchCandidate | None = None
         self.reason = ""
 
-    # Inputs
-
     def add_sweep(self, sweep: Sweep) -> None:
         """Queue a sweep; it is processed when the motion up to its end is known."""
         if len(self._queue) == _MAX_QUEUED:
@@ -182,8 +180,6 @@ class ScanMatcher:
     def reset_road_height(self) -> None:
         """Forget the road's height: the pose has jumped, the deck may be another one."""
         self._road_height = None
-
-    # Output
 
     def attitude(self, time_ns: int) -> tuple[float, float] | None:
         """Return roll and pitch of a recent match."""
@@ -232,8 +228,6 @@ class ScanMatcher:
         if candidate is None:
             return self._lost(raw.time_ns, "map: no road here")
         return self._apply_match(sweep, ground, candidate, place)
-
-    # Steps
 
     def _deskew(self, raw: Sweep, now_ns: int) -> PreparedSweep:
         sweep = prepare_sweep(
@@ -377,8 +371,6 @@ class ScanMatcher:
             m=min(_SIGMAS * prediction.position_sigma_m + self._options.sure_m, FULL_RANGE.m),
             rad=min(_SIGMAS * prediction.yaw_sigma_rad + self._options.sure_rad, FULL_RANGE.rad),
         )
-
-    # Result
 
     def _apply_match(
         self, sweep: PreparedSweep, ground: GroundPlane | None, candidate: _MatchCandidate, place: _MatchPlace

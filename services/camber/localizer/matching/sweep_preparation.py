@@ -15,7 +15,7 @@ from camber.geodesy.se3 import map_from_vehicle
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.track import RelativeTrack, TrackPoint
 from camber.localizer.map_clouds.voxel_grid import voxel_means
-from camber.localizer.matching.deskewing import SECTORS, SweepLimits, SweepTimes, deskew, sweep_motions
+from camber.localizer.matching.deskewing import SECTORS, SweepOptions, SweepTimes, deskew, sweep_motions
 from camber.schemas.lidar import Sweep
 
 SweepProblem: TypeAlias = Literal[
@@ -33,6 +33,7 @@ SweepProblem: TypeAlias = Literal[
 points are as measured; *bad_offsets*: times of some points are of no part of this sweep, they are left out;
 *no_offsets*: all points have the same time, so that nothing could be deskewed."""
 
+_DEFAULT_OPTIONS: Final = SweepOptions()
 _USABLE: Final = (None, "bad_offsets", "half_sweep", "no_offsets")
 
 
@@ -60,27 +61,6 @@ class SensorMount:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepOptions:
-    """Which points of a sweep are used. Points above or below the vehicle's rectangle are taken for its parts."""
-
-    voxel_m: float = 0.3
-    min_range_m: float = 1.0
-    max_range_m: float = 65.0
-    vehicle_rear_m: float = 1.5
-    vehicle_front_m: float = 4.5
-    vehicle_half_width_m: float = 1.15
-    longest_s: float = 0.2
-    min_coverage: float = 0.6
-    min_points: int = 200
-    max_bad_share: float = 0.05
-    ahead_s: float = 0.05
-    too_old_s: float = 1.0
-
-
-DEFAULT_OPTIONS: Final = SweepOptions()
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PreparedSweep:
     """Points (m, 3) in the vehicle frame at `time_ns`, the sweep's end; none where the sweep is not usable.
@@ -106,7 +86,7 @@ def prepare_sweep(
     *,
     now_ns: int | None = None,
     last_time_ns: int | None = None,
-    options: SweepOptions = DEFAULT_OPTIONS,
+    options: SweepOptions = _DEFAULT_OPTIONS,
 ) -> PreparedSweep:
     """Prepare a sweep: points (n, 3) in the sensor's frame, offsets (n,) ≤ 0 against its end at `time_ns`.
 
@@ -129,13 +109,7 @@ def prepare_sweep(
         np.ascontiguousarray(points_m, np.float32),
         SweepTimes(np.ascontiguousarray(offset_ns, np.int32), longest_ns, span_ns),
         motions @ mount.vehicle_from_sensor,
-        SweepLimits(
-            min_range_m=options.min_range_m,
-            max_range_m=options.max_range_m,
-            rear_m=-options.vehicle_rear_m,
-            front_m=options.vehicle_front_m,
-            half_width_m=options.vehicle_half_width_m,
-        ),
+        options,
     )
     bad_offsets = len(points_m) - int(of_sweep.sum())
     coverage = float(_SECTOR_SHARE[seen].sum())

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,18 +31,11 @@ _NEIGHBOURS: Final = 4.0  # chosen: number of points that err alike
 _CURVATURE_PER_M: Final = 1.0 / 400.0  # chosen: σ of a road's vertical curvature, crests in towns included
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadLine:
-    """The map's road in the local frame: `dz_m` above its origin, falling ahead by `dpitch_rad` (as pitch: nose down),
-    left side up by `droll_rad`; sigmas; and the number of points."""
+class RoadLine(NamedTuple):
+    """The map's road in the local frame: `dz_m` above its origin, falling ahead by `dpitch_rad` (as pitch)."""
 
     dz_m: float
     dpitch_rad: float
-    droll_rad: float
-    dz_sigma_m: float
-    dpitch_sigma_rad: float
-    droll_sigma_rad: float
-    points: int
 
     @property
     def local_from_road(self) -> Floats:
@@ -57,14 +50,12 @@ class RoadLine:
 class GroundPlane:
     """The road around the vehicle by the ground in a sweep, in the vehicle frame by the sensor's mount.
 
-    `distance_m` is from the sensor to the road along the road's normal; `dz_m` how far the road lies above the
-    vehicle's origin, along the body's z. `pitch_rad`, `roll_rad` are those of the body against the road. `problem` is
-    *mounting* where the ground contradicts the sensor's mount by more than 0.3 m or 3°.
+    `distance_m` is from the sensor to the road along the road's normal. `pitch_rad`, `roll_rad` are those of the body
+    against the road. `problem` is *mounting* where the ground contradicts the sensor's mount by more than 0.3 m or 3°.
     """
 
     distance_m: float
     distance_sigma_m: float
-    dz_m: float
     roll_rad: float
     pitch_rad: float
     problem: Literal["mounting"] | None
@@ -89,17 +80,7 @@ def road_line(
     x, y, z = road_m[:, 0], road_m[:, 1], road_m[:, 2]
     near = (x * x + y * y < reach_m * reach_m) & (np.abs(y) < half_width_m) & (np.abs(z) < search_m)
     fit = _fitted(road_m[near], across=False)
-    if fit is None:
-        return None
-    return RoadLine(
-        dz_m=fit.at_origin_m,
-        dpitch_rad=-math.atan(fit.ahead),
-        droll_rad=math.atan(fit.left),
-        dz_sigma_m=math.sqrt(fit.covariance[0, 0]),
-        dpitch_sigma_rad=math.sqrt(fit.covariance[1, 1]),
-        droll_sigma_rad=math.sqrt(fit.covariance[2, 2]),
-        points=fit.points,
-    )
+    return None if fit is None else RoadLine(fit.at_origin_m, -math.atan(fit.ahead))
 
 
 def ground_plane(
@@ -127,13 +108,11 @@ def ground_plane(
     norm = math.sqrt(1.0 + fit.ahead**2 + fit.left**2)
     # The plane is z = a + b x + c y, the normal (−b, −c, 1) / norm; the sensor stands above the fit's origin.
     distance_m = (mount.z_m - fit.at_origin_m) / norm
-    dz_m = fit.at_origin_m - fit.ahead * mount.x_m - fit.left * mount.y_m
     pitch, roll = math.atan(fit.ahead), -math.atan(fit.left)
     off = abs(fit.at_origin_m) > 0.3 or max(abs(pitch), abs(roll)) > math.radians(3.0)
     return GroundPlane(
         distance_m=distance_m,
         distance_sigma_m=math.sqrt(fit.covariance[0, 0]),
-        dz_m=dz_m,
         roll_rad=roll,
         pitch_rad=pitch,
         problem="mounting" if off else None,
@@ -148,7 +127,6 @@ class _RoadPlane:
     ahead: float
     left: float
     covariance: Floats
-    points: int
 
 
 def _fitted(points_m: Floats, *, across: bool) -> _RoadPlane | None:
@@ -181,9 +159,8 @@ def _fitted(points_m: Floats, *, across: bool) -> _RoadPlane | None:
         )
     covariance = (scale**2 * _NEIGHBOURS * inverse)[:3, :3]
     covariance[0, 0] += _MIN_SIGMA_M**2
-    used = weight > 0.0
     a, b, c, _ = solution.tolist()
-    return _RoadPlane(at_origin_m=a, ahead=b, left=c, covariance=covariance, points=int(used.sum()))
+    return _RoadPlane(at_origin_m=a, ahead=b, left=c, covariance=covariance)
 
 
 @compiled_without_gil

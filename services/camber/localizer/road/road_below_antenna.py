@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from camber.geodesy.horizontal_offsets import east_north_between
+from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.map_queries import Diagnostics, MapQueries, MapQueryFailure
 from camber.localizer.road.road_prefetch import RoadAhead, places_ahead
@@ -44,13 +45,8 @@ class RoadBelowAntenna:
         self._sigma_limit_m = sigma_limit_m
         self._map_queries, self._diagnostics = map_queries, diagnostics
         self._ahead: RoadAhead | None = None
-        self._road = Road(status="unknown", reason="no_pose")
+        self.last = Road(status="unknown", reason="no_pose")
         self._driven: _LastRoad | None = None
-
-    @property
-    def last(self) -> Road:
-        """The road below the last pose."""
-        return self._road
 
     def forget(self) -> None:
         """Forget the last road: the pose has jumped."""
@@ -59,11 +55,10 @@ class RoadBelowAntenna:
     def update(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
         """Return the road below the antenna at this position."""
         driven = self._driven
-        if driven is not None and math.hypot(
-            *east_north_between(*driven[1:], latitude_rad, longitude_rad)
-        ) > (_REMEMBERED_M):
-            self._driven = None
-        road = self._road = self._query(estimate, latitude_rad, longitude_rad)
+        if driven is not None:
+            away_m = math.hypot(*east_north_between(*driven[1:], latitude_rad, longitude_rad))
+            self._driven = driven if away_m <= _REMEMBERED_M else None
+        road = self.last = self._query(estimate, latitude_rad, longitude_rad)
         if road.status == "known":
             level = road.level
             if level is None and self._driven is not None:
@@ -75,10 +70,11 @@ class RoadBelowAntenna:
         sigma_m = estimate.horizontal_sigma_m
         if sigma_m > self._sigma_limit_m:
             return Road(status="unknown", reason="pose_too_uncertain")
-        candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
-        link_ids = tuple(int(link) for link in candidates)[:_MAX_LINKS]
+        link = estimate.link
+        candidates = link.candidates or (() if link.link_id is None else (link.link_id,))
+        link_ids = tuple(int(link_id) for link_id in candidates)[:_MAX_LINKS]
         certain = sigma_m <= _PATCH_ABOVE_M
-        several_levels = bool(estimate.link_candidates) and estimate.link_level is None
+        several_levels = bool(link.candidates) and link.level is None
         if several_levels:
             self._ahead = None  # it holds one surface for each place
         if certain and self._ahead is not None and self._map_queries.is_available():
@@ -95,7 +91,7 @@ class RoadBelowAntenna:
             latitude_rad=latitude_rad,
             longitude_rad=longitude_rad,
             link_ids=link_ids,
-            last_surface_id=None if self._driven is None else self._road.surface_id,
+            last_surface_id=None if self._driven is None else self.last.surface_id,
             radius_m=0.0 if certain else _PATCH_SIGMAS * sigma_m,
             ahead=ahead if certain and not several_levels else None,
         )
@@ -150,7 +146,5 @@ def attitude_on_road(road: Road, yaw_rad: float) -> tuple[float, float]:
     """Return roll and pitch [rad] of a vehicle on this road, pitch positive with the nose down; zero without a road."""
     if road.slope_east is None or road.slope_north is None:
         return 0.0, 0.0
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    forward = road.slope_east * cos + road.slope_north * sin
-    left = -road.slope_east * sin + road.slope_north * cos
+    forward, left = rotated(-yaw_rad, road.slope_east, road.slope_north)
     return math.atan(left * math.cos(math.atan(forward))), -math.atan(forward)

@@ -1,4 +1,4 @@
-"""The current link by topology and history: roads that cross, run alongside, fork and end."""
+"""The current link by topology and history: roads that cross, run alongside, fork and end; and the link's line."""
 
 import itertools
 import math
@@ -8,18 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadLink
-from support.plain_links import line_through
+from camber.localizer.filter.filter_state import FilterState
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.links.link_matching import LinkLine, LinkMatcher, LinkNetwork, RoadLink
+from support.pose_inputs import line_through
 
 
 def a_link(link_id, nodes, *vertices, **more):
     start, end = nodes
     vertices_m = np.array(vertices, dtype=float)
     return RoadLink(link_id=link_id, start_node=start, end_node=end, vertices_m=vertices_m, **more)
-
-
-def network_of(*links):
-    return LinkNetwork(links)
 
 
 ROAD = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
@@ -86,11 +84,13 @@ def test_one_road_above_another_is_ambiguous_with_its_candidates():
 
 
 def test_a_vehicle_that_came_up_the_ramp_is_on_the_upper_level():
-    network = network_of(
-        a_link("approach", ("a", "f"), (-300, 0), (0, 0)),
-        a_link("ground", ("f", "g"), (0, 0), (60, 0), (1000, 0)),
-        a_link("ramp", ("f", "r"), (0, 0), (60, 25), (150, 40), level=0),
-        a_link("viaduct", ("r", "v"), (150, 40), (220, 2), (1000, 2), level=1),
+    network = LinkNetwork(
+        [
+            a_link("approach", ("a", "f"), (-300, 0), (0, 0)),
+            a_link("ground", ("f", "g"), (0, 0), (60, 0), (1000, 0)),
+            a_link("ramp", ("f", "r"), (0, 0), (60, 25), (150, 40), level=0),
+            a_link("viaduct", ("r", "v"), (150, 40), (220, 2), (1000, 2), level=1),
+        ]
     )
     matches = drive(LinkMatcher(network), [(-200, 0), (0, 0), (60, 25), (150, 40), (220, 2), (900, 2)])
     assert (matches[-1].status, matches[-1].link_id, matches[-1].level) == ("matched", "viaduct", 1)
@@ -99,9 +99,11 @@ def test_a_vehicle_that_came_up_the_ramp_is_on_the_upper_level():
 
 
 def test_parallel_roads_beyond_the_uncertainty_are_distinguished():
-    network = network_of(
-        a_link("here", ("a", "b"), (0, 0), (500, 0), sigma_m=1.0),
-        a_link("there", ("c", "d"), (0, 40), (500, 40), sigma_m=1.0),
+    network = LinkNetwork(
+        [
+            a_link("here", ("a", "b"), (0, 0), (500, 0), sigma_m=1.0),
+            a_link("there", ("c", "d"), (0, 40), (500, 40), sigma_m=1.0),
+        ]
     )
     assert drive(LinkMatcher(network), [(50, 1), (300, 1)])[-1].status == "matched"
     lost = drive(LinkMatcher(network), [(50, 20), (300, 20)], covariance(15.0))
@@ -109,10 +111,12 @@ def test_parallel_roads_beyond_the_uncertainty_are_distinguished():
 
 
 def test_a_fork_is_ambiguous_until_the_branches_part():
-    network = network_of(
-        a_link("stem", ("a", "f"), (-200, 0), (0, 0)),
-        a_link("left", ("f", "l"), (0, 0), (300, 60), level=1),
-        a_link("right", ("f", "r"), (0, 0), (300, -60)),
+    network = LinkNetwork(
+        [
+            a_link("stem", ("a", "f"), (-200, 0), (0, 0)),
+            a_link("left", ("f", "l"), (0, 0), (300, 60), level=1),
+            a_link("right", ("f", "r"), (0, 0), (300, -60)),
+        ]
     )
     matches = drive(LinkMatcher(network), [(-150, 0), (0, 0), (290, 58)])
     shortly_after = matches[33]
@@ -163,9 +167,11 @@ def test_standing_still_adds_no_evidence():
 
 
 def test_sharp_vertices_and_dead_ends_are_reported_by_their_distance():
-    network = network_of(
-        a_link("bent", ("a", "b"), (0, 0), (100, 0), (100, 100)),
-        a_link("on", ("b", "c"), (100, 100), (100, 300)),
+    network = LinkNetwork(
+        [
+            a_link("bent", ("a", "b"), (0, 0), (100, 0), (100, 100)),
+            a_link("on", ("b", "c"), (100, 100), (100, 300)),
+        ]
     )
     assert network.to_sharp_m(0, 70.0) == pytest.approx(30.0)
     assert network.to_sharp_m(0, 190.0) == pytest.approx(90.0)
@@ -189,11 +195,8 @@ def test_a_newer_part_of_the_map_keeps_the_history():
     assert (match.status, match.link_id) == ("matched", "viaduct")
 
 
-def test_cost_does_not_grow_with_the_map():
-    near = [a_link("road", ("a", "b"), (0, 0), (400, 0))]
-    far = [a_link(k, (k, k + 0.5), (k, 3000), (k + 50, 3050)) for k in range(2000)]
-    network = LinkNetwork(near + far)
-    assert set(network.projections(100.0, 0.0, 50.0)) == {0}
+def test_only_links_within_the_radius_come_into_question():
+    assert set(LinkNetwork(CROSS).projections(40.0, 0.0, 20.0)) == {1, 2}
 
 
 @settings(max_examples=50)
@@ -233,3 +236,48 @@ def test_links_that_are_no_links_are_refused():
 
 def test_an_empty_map_has_no_links():
     assert LinkMatcher(LinkNetwork([])).step((0.0, 0.0, 0.0), covariance(), travelled_m=0.0).status == "none"
+
+
+ANGLES = st.floats(-math.pi, math.pi)
+METRES = st.floats(-200.0, 200.0)
+
+
+@given(METRES, METRES, ANGLES, METRES)
+def test_the_normal_is_the_derivative_of_the_offset(east, north, alpha, c):
+    line, step = LinkLine(alpha, c), 1e-3
+    by_east = (line.offset_m(east + step, north) - line.offset_m(east - step, north)) / (2 * step)
+    by_north = (line.offset_m(east, north + step) - line.offset_m(east, north - step)) / (2 * step)
+    assert line.normal == pytest.approx((by_east, by_north), abs=1e-9)
+
+
+def test_the_offset_is_positive_to_the_left_of_the_link_and_negative_to_its_right():
+    line = line_through((0.0, 0.0), (10.0, 0.0))
+    assert line.offset_m(5.0, 2.0) == pytest.approx(2.0)
+    assert line.offset_m(5.0, -2.0) == pytest.approx(-2.0)
+
+
+@given(METRES, METRES, METRES, METRES, ANGLES)
+def test_a_line_does_not_move_when_the_origin_does(east, north, origin_e, origin_n, alpha):
+    line = LinkLine(alpha, 3.0)
+    moved = line.shifted(origin_e, origin_n)
+    assert moved.offset_m(east - origin_e, north - origin_n) == pytest.approx(line.offset_m(east, north))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_kalman_update_is_weighted_least_squares(seed):
+    """CN101360971 eq. (9) to (13): minimise |X - x|² in Q_x plus |z - h X|² in the noise; two rows or one by one."""
+    rng = np.random.default_rng(seed)
+    x, h, z = rng.uniform(-5, 5, 3), rng.standard_normal((2, 3)), rng.standard_normal(2)
+    root, noise = np.eye(3) + 0.3 * rng.standard_normal((3, 3)), np.diag([0.3, 0.002])
+    p = root @ root.T
+    both, one_by_one = (FilterState(PoseModel()) for _ in range(2))
+    both.x, both.p = one_by_one.x, one_by_one.p = x, p
+    both.update(h, z, noise)
+    expected = np.linalg.inv(np.linalg.inv(p) + h.T @ np.linalg.inv(noise) @ h)
+    np.testing.assert_allclose(both.p, expected, atol=1e-9)
+    np.testing.assert_allclose(both.x, x + expected @ h.T @ np.linalg.inv(noise) @ z, atol=1e-9)
+    for row in (0, 1):
+        rest = z[[row]] - h[[row]] @ (one_by_one.x - x)
+        one_by_one.update(h[[row]], rest, noise[row : row + 1, row : row + 1])
+    np.testing.assert_allclose(both.x, one_by_one.x, atol=1e-10)
+    np.testing.assert_allclose(both.p, one_by_one.p, atol=1e-10)

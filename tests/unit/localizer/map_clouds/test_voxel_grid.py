@@ -1,4 +1,4 @@
-"""Thinning by voxels: the mean of each, against numpy's own grouping."""
+"""Thinning by voxels: the mean of each, against numpy's own grouping; and the first, as many as asked for at most."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.localizer.map_clouds.voxel_grid import voxel_means
+from camber.localizer.map_clouds.voxel_grid import first_of_voxels, thinned_evenly, voxel_count, voxel_means
 
 
 def cloud(seed: int, n: int, spread_m: float) -> np.ndarray:
@@ -33,14 +33,6 @@ def test_they_come_in_the_order_of_first_appearance() -> None:
     np.testing.assert_allclose(voxel_means(points, 1.0)[:, 0], [5.15, -3.0, 0.1])
 
 
-def test_points_on_a_plane_stay_on_it() -> None:
-    points = cloud(4, 5_000, 5.0)
-    points[:, 2] = 0.1 * points[:, 0] - 0.05 * points[:, 1]
-    result = voxel_means(points, 0.5)
-    assert len(result) < 2_500
-    np.testing.assert_allclose(result[:, 2], 0.1 * result[:, 0] - 0.05 * result[:, 1], atol=1e-12)
-
-
 def test_of_nothing_comes_nothing() -> None:
     assert voxel_means(np.zeros((0, 3)), 0.3).shape == (0, 3)
 
@@ -51,3 +43,40 @@ def test_far_from_the_origin_voxels_are_not_confused(far_m: float) -> None:
     assert len(voxel_means(points + 0.25 * round(far_m / 0.25), 0.25)) == pytest.approx(
         len(voxel_means(points, 0.25)), abs=2
     )
+
+
+def dense_and_wide(n: int) -> np.ndarray:
+    random = np.random.default_rng(3)
+    return np.concatenate(
+        [random.normal(0.0, 1.0, (n // 2, 3)), random.uniform(-30.0, 30.0, (n - n // 2, 3))]
+    )
+
+
+def test_the_first_point_of_each_voxel_is_what_a_dictionary_finds() -> None:
+    points = dense_and_wide(5000)
+    first: dict[tuple[int, ...], int] = {}
+    for row, point in enumerate(points):
+        first.setdefault(tuple(int(c) for c in np.floor(point / 0.7)), row)
+    assert first_of_voxels(points, 0.7).tolist() == list(first.values())
+    assert voxel_count(points, 0.7) == len(first)
+
+
+@pytest.mark.parametrize("at_most", [1, 50, 1000, 4999])
+def test_no_more_points_than_asked_for_and_each_of_them_was_there(at_most: int) -> None:
+    points = dense_and_wide(5000)
+    thin = thinned_evenly(points, at_most)
+    assert 0 < len(thin) <= at_most
+    assert {tuple(p) for p in thin} <= {tuple(p) for p in points}
+
+
+def test_few_points_are_left_alone() -> None:
+    points = dense_and_wide(40)
+    np.testing.assert_array_equal(thinned_evenly(points, 40), points)
+    assert len(thinned_evenly(np.empty((0, 3)), 10)) == 0
+
+
+def test_a_dense_spot_does_not_keep_its_weight() -> None:
+    points = dense_and_wide(20_000)
+    thin = thinned_evenly(points, 1000)
+    assert np.mean(np.linalg.norm(points, axis=1) < 3.0) > 0.45
+    assert np.mean(np.linalg.norm(thin, axis=1) < 3.0) < 0.1

@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from camber.formats.map_exchange.argoverse import ArgoverseLog, Floats, GroundRaster, LidarSweep, read_log
 from camber.geodesy.local_frame import LocalFrame
-from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
+from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
 from camber.localizer.map_clouds.map_blocks import MapBlock
 from camber.localizer.map_clouds.voxel_grid import voxel_means
+from camber.localizer.matching.deskewing import SweepOptions
 from camber.localizer.matching.ground_alignment import (
     PlanarPose,
     SensorHeights,
     align_to_road,
     measure_sensor_heights,
 )
-from camber.localizer.matching.sweep_preparation import SensorMount, SweepOptions
+from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.road.road_attitude import ground_plane
 from camber.localizer.road.road_raster import RoadHeights
 
@@ -88,7 +89,6 @@ def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> S
         environment_m=np.zeros((0, 3)),
         road_m=road_m,
         road=RoadHeights.of(road_m),
-        missing=(),
     )
     points_m, mount = of_sensor(log, sweep, name, axle_m)
     east_m, north_m, up_m = (place_m - corner_m).tolist()
@@ -129,24 +129,6 @@ def test_the_slope_is_that_of_the_pose(log: ArgoverseLog) -> None:
         # A body that drives is tilted against its road by a degree at most.
         assert measured.slope_forward == pytest.approx(-math.tan(pitch_rad), abs=0.02)
         assert measured.slope_left == pytest.approx(math.tan(roll_rad), abs=0.02)
-
-
-@pytest.mark.parametrize(("name", "other"), [SENSORS, SENSORS[::-1]])
-def test_each_laser_keeps_its_elevation_in_the_sensor_that_it_belongs_to(
-    log: ArgoverseLog, name: str, other: str
-) -> None:
-    sweep = log.sweeps[0]
-
-    def spread_deg(sensor: str) -> float:
-        sensor_m = transform_points(np.linalg.inv(log.egovehicle_from_sensor[sensor]), sweep.points_m)
-        across_m = np.hypot(sensor_m[:, 0], sensor_m[:, 1])
-        elevation_deg = np.degrees(np.arctan2(sensor_m[:, 2], across_m))
-        # Nearer ones show half precision, and what the vehicle drove within the sweep.
-        far = (across_m > 8.0) & is_of(name, sweep)
-        lasers = [elevation_deg[far & (sweep.laser == laser)] for laser in np.unique(sweep.laser[far])]
-        return float(np.median([np.std(laser) for laser in lasers if len(laser) > 50]))
-
-    assert spread_deg(name) < 0.1 < spread_deg(other)
 
 
 @pytest.mark.parametrize("name", ["7fab2350", "3bffdcff"])

@@ -13,11 +13,20 @@ from camber.localizer.matching.coarse_search import search, seems_mirrored
 from camber.localizer.matching.icp import moved
 from camber.localizer.matching.layered_matching import MatchInput, MatchOptions
 from camber.localizer.matching.registration import LayerTarget
-from support.plain_layers import LOCAL_DENSITY, MAP_DENSITY, YARD, error, pose, seen_from, surfaces, targets
+from support.plain_layers import (
+    LOCAL_DENSITY,
+    MAP_DENSITY,
+    TRUTH,
+    YARD_M,
+    YARD_SEEN_M,
+    error,
+    pose,
+    surfaces,
+    targets,
+)
 
-TRUTH = pose(3.0, -2.0, 30.0)
-LAYERS = targets(surfaces(YARD, MAP_DENSITY, np.random.default_rng(1)))
-SEEN = seen_from(TRUTH, surfaces(YARD, LOCAL_DENSITY, np.random.default_rng(2)))
+LAYERS = targets(YARD_M)
+SEEN = YARD_SEEN_M
 EQUAL_BAYS = [
     *[((x, -4.0), (x, -2.0)) for x in np.arange(-60.0, 60.5, 3.0)],
     *[((x, 4.0), (x, 2.0)) for x in np.arange(-60.0, 60.5, 3.0)],
@@ -45,8 +54,8 @@ def test_the_position_is_right_from_five_metres_and_fifteen_degrees_off(
 
 
 def test_a_row_of_equal_bays_is_ambiguous() -> None:
-    layers = targets(surfaces(EQUAL_BAYS, MAP_DENSITY, np.random.default_rng(1)))
-    points = surfaces(EQUAL_BAYS, LOCAL_DENSITY, np.random.default_rng(2))
+    layers = targets(surfaces(EQUAL_BAYS, MAP_DENSITY, 1))
+    points = surfaces(EQUAL_BAYS, LOCAL_DENSITY, 2)
     points = points[np.abs(points[:, 0]) < 25.0]
     result = search(scan(points, layers, pose(1.0, 0.2, 2.0)), OPTIONS)
     assert not result.unique
@@ -55,9 +64,7 @@ def test_a_row_of_equal_bays_is_ambiguous() -> None:
 
 
 def test_another_place_stays_lost() -> None:
-    elsewhere = surfaces(
-        [((x, -30.0), (x + 2.0, 30.0)) for x in range(-30, 31, 7)], LOCAL_DENSITY, np.random.default_rng(3)
-    )
+    elsewhere = surfaces([((x, -30.0), (x + 2.0, 30.0)) for x in range(-30, 31, 7)], LOCAL_DENSITY, 3)
     result = search(scan(elsewhere, LAYERS, TRUTH), OPTIONS)
     assert result.match.status != "converged"
 

@@ -45,7 +45,6 @@ BLOCK = MapBlock(
     environment_m=np.zeros((0, 3)),
     road_m=MAP,
     road=RoadHeights.of(MAP),
-    missing=(),
 )
 TRUTH = map_from_vehicle(
     0.0, 0.0, 0.0, math.atan(CROSSFALL * math.cos(math.atan(GRADE))), -math.atan(GRADE) - NOSE_UP_RAD, 0.0

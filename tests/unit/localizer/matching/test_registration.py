@@ -8,29 +8,22 @@ from numpy.typing import NDArray
 
 from camber.geodesy.se3 import transform_points
 from camber.localizer.matching.registration import NEIGHBOURS, CloudMethod, LayerTarget, register
-from support.plain_layers import MAP_DENSITY, YARD, error, pose, seen_from, surfaces
+from support.plain_layers import TRUTH, YARD, YARD_M, error, pose, seen_from, surfaces
 
 Floats = NDArray[np.float64]
 
 METHODS: list[CloudMethod] = ["point_to_point", "plane_to_plane", "vgicp"]
-TRUTH = pose(3.0, -2.0, 30.0)
 
 
-@pytest.fixture(scope="module")
-def target() -> LayerTarget:
-    return LayerTarget.of(surfaces(YARD, MAP_DENSITY, np.random.default_rng(1)))
-
-
-@pytest.fixture(scope="module")
-def source_m() -> Floats:
-    return seen_from(TRUTH, surfaces(YARD, 3.0, np.random.default_rng(2)))
+TARGET = LayerTarget.of(YARD_M)
+SOURCE_M = seen_from(TRUTH, surfaces(YARD, 3.0, 2))
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_motion_is_recovered(method: CloudMethod, target: LayerTarget, source_m: Floats) -> None:
+def test_a_motion_is_recovered(method: CloudMethod) -> None:
     fit, again = (
         register(
-            target, source_m, pose(3.3, -2.2, 31.0), method=method, max_distance_m=1.0, max_iterations=60
+            TARGET, SOURCE_M, pose(3.3, -2.2, 31.0), method=method, max_distance_m=1.0, max_iterations=60
         )
         for _ in range(2)
     )
@@ -44,13 +37,11 @@ def test_a_motion_is_recovered(method: CloudMethod, target: LayerTarget, source_
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("points", [0, NEIGHBOURS - 1])
-def test_too_few_points_on_one_side_leave_the_guess(
-    method: CloudMethod, points: int, target: LayerTarget
-) -> None:
+def test_too_few_points_on_one_side_leave_the_guess(method: CloudMethod, points: int) -> None:
     few = np.random.default_rng(3).uniform(-1.0, 1.0, (points, 3))
     many = np.random.default_rng(4).uniform(-1.0, 1.0, (100, 3))
     for fit in (
-        register(target, few, TRUTH, method=method, max_distance_m=1.0),
+        register(TARGET, few, TRUTH, method=method, max_distance_m=1.0),
         register(LayerTarget.of(few), many, TRUTH, method=method, max_distance_m=1.0),
     ):
         assert not fit.converged
@@ -60,20 +51,18 @@ def test_too_few_points_on_one_side_leave_the_guess(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_cloud_far_from_the_map_has_no_pairs_and_does_not_converge(
-    method: CloudMethod, target: LayerTarget, source_m: Floats
-) -> None:
-    fit = register(target, source_m, pose(500.0, 0.0, 0.0), method=method, max_distance_m=1.0)
+def test_a_cloud_far_from_the_map_has_no_pairs_and_does_not_converge(method: CloudMethod) -> None:
+    fit = register(TARGET, SOURCE_M, pose(500.0, 0.0, 0.0), method=method, max_distance_m=1.0)
     assert not fit.converged
     assert fit.mean_distance_m == np.inf
     assert fit.overlap == 0.0
 
 
-def test_mean_distance_counts_only_pairs_within_the_limit(target: LayerTarget, source_m: Floats) -> None:
+def test_mean_distance_counts_only_pairs_within_the_limit() -> None:
     """(7): the mean over the points that have a pair."""
-    stray = np.concatenate([source_m, np.full((50, 3), 200.0)])
-    fit = register(target, stray, TRUTH, method="point_to_point", max_distance_m=0.5, max_iterations=1)
-    _, nearest_m = target.nearest(transform_points(fit.transform, stray))
+    stray = np.concatenate([SOURCE_M, np.full((50, 3), 200.0)])
+    fit = register(TARGET, stray, TRUTH, method="point_to_point", max_distance_m=0.5, max_iterations=1)
+    _, nearest_m = TARGET.nearest(transform_points(fit.transform, stray))
     assert fit.mean_distance_m == pytest.approx(float(nearest_m[nearest_m <= 0.5].mean()))
     assert fit.points == len(stray)
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
 from camber.localizer.matching.registration import LayerTarget
 from camber.localizer.matching.road_plane_fit import fit_road
 from support.plain_layers import MAP_DENSITY, pose, road, seen_from
@@ -21,25 +20,13 @@ def on_a_slope(points_m: Floats, east: float, north: float) -> Floats:
 
 
 SLOPE = (0.10, -0.02)
-ROAD = LayerTarget.of(on_a_slope(road(MAP_DENSITY, np.random.default_rng(1), 20.0), *SLOPE))
+ROAD = LayerTarget.of(on_a_slope(road(MAP_DENSITY, 1, 20.0), *SLOPE))
 # On the slope with x uphill: nose up is negative pitch.
 UPHILL_RAD = math.atan(0.10)
 ROLL_DEG = math.degrees(math.atan(-0.02 * math.cos(UPHILL_RAD)))
 TRUTH = pose(0.0, 0.0, 0.0, 0.0, ROLL_DEG, -math.degrees(UPHILL_RAD))
-SEEN = seen_from(TRUTH, on_a_slope(road(8.0, np.random.default_rng(2), 10.0), *SLOPE))
+SEEN = seen_from(TRUTH, on_a_slope(road(8.0, 2, 10.0), *SLOPE))
 HEIGHTS = np.zeros(len(SEEN))
-
-
-def test_height_roll_and_pitch_are_right_and_the_rest_is_left() -> None:
-    guess = TRUTH @ pose(0.0, 0.0, 0.0, 0.12, 0.8, -0.6)
-    fit = fit_road(SEEN, HEIGHTS, ROAD, guess)
-    assert fit.status == "converged"
-    np.testing.assert_array_equal(fit.map_from_local[:2, 3], guess[:2, 3])
-    up_m = fit.map_from_local[2, 3] - SLOPE[0] * guess[0, 3] - SLOPE[1] * guess[1, 3]
-    assert abs(up_m) < 0.005
-    wanted, result = (roll_pitch_yaw_from_rotation(t) for t in (TRUTH, fit.map_from_local))
-    assert result[:2] == pytest.approx(wanted[:2], abs=0.001)
-    assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([0.01, 0.001, 0.001], rel=0.5)
 
 
 def test_kerbs_and_tyres_do_not_lift_the_road() -> None:

@@ -143,9 +143,6 @@ def test_in_a_bare_corridor_the_along_direction_stays_unknown() -> None:
     assert drive.error_m() < 3.0 * drive.sigma_m()
 
 
-# Independence
-
-
 def test_fixes_change_no_bit_of_a_given_pose_whatever_they_say() -> None:
     seed = 20261121
     print(f"seed {seed}")

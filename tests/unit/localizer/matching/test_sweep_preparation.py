@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.localizer.filter.odometry import MotionStep
 from camber.localizer.filter.track import RelativeTrack
+from camber.localizer.matching.deskewing import SweepOptions
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
     SensorMount,
-    SweepOptions,
     prepare_sweep,
 )
 from camber.schemas.lidar import Sweep

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from camber.localizer.filter.pose_estimate import PoseEstimate
+from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.road.road_below_antenna import RoadBelowAntenna
 from camber.road_map.release import read_release
 from camber.schemas.pose import Road
@@ -25,24 +25,21 @@ LINKS = [
 ]
 ALL = (3, 1, 2)
 RAMP = 3
-AGES = ("speed_age_s", "rotation_age_s", "match_age_s")
-ZERO: dict[str, Any] = dict.fromkeys(
-    ("east_m", "north_m", "yaw_rad", "yaw_rate_rad_s", "link_offset_m", *AGES), 0.0
-)
 ON = PoseEstimate(
     time_ns=NS,
     mode="scan_match",
     provenance="scan_match",
+    east_m=0.0,
+    north_m=0.0,
+    yaw_rad=0.0,
     yaw_known=True,
     covariance=np.diag([0.05**2, 0.05**2, 0.01**2]),
     speed_m_s=10.0,
-    standing=False,
-    anchor_age_s=None,
-    link_status="ambiguous",
-    link_id=1,
-    link_level=None,
-    link_candidates=ALL,
-    **ZERO,
+    yaw_rate_rad_s=0.0,
+    rotation_read=True,
+    anchor_time_ns=None,
+    match_time_ns=NS,
+    link=LinkMatch(status="ambiguous", link_id=1, candidates=ALL),
 )
 
 
@@ -73,14 +70,9 @@ class Fork:
         self.epochs += 1
         covariance = np.diag([sigma_m**2, sigma_m**2, 0.01**2])
         time_ns = NS + self.epochs * 100_000_000
-        levels = {1 if link == RAMP else 0 for link in links}
-        here = replace(
-            ON,
-            time_ns=time_ns,
-            link_level=levels.pop() if len(levels) == 1 else None,
-            link_candidates=links,
-            covariance=covariance,
-        )
+        levels = {1 if link_id == RAMP else 0 for link_id in links}
+        link = replace(ON.link, level=levels.pop() if len(levels) == 1 else None, candidates=links)
+        here = replace(ON, time_ns=time_ns, link=link, covariance=covariance)
         return self.road_below.update(here, *at(east_m, north_m))
 
 

@@ -37,6 +37,7 @@ def the_map() -> ElevationMap:
 
 
 MAP = the_map()
+OFF_THE_PLACES = [(-1.5, 0.0), (23.0, 0.0), (10.0, 1.6), (10.0, -1.6), (5e3, 0.0)]
 
 
 def ask(east_m: float = 0.0, *, speed_m_s: float = 10.0, yaw_rad: float = 0.0, **changes: Any) -> RoadAhead:
@@ -96,22 +97,24 @@ def test_it_says_what_the_map_would_say_there(along_m: float, across_m: float) -
 
 
 @pytest.mark.parametrize(
-    ("along_m", "across_m"), [(-1.5, 0.0), (23.0, 0.0), (10.0, 1.6), (10.0, -1.6), (5e3, 0.0)]
+    ("place_m", "after_ns", "link_ids", "radius_m", "known"),
+    [
+        *(((east, north), 0, (1,), 0.5, False) for east, north in OFF_THE_PLACES),
+        ((1.0, 0.0), 2 * SECOND_NS, (1,), 0.5, True),
+        ((1.0, 0.0), 2 * SECOND_NS + 1, (1,), 0.5, False),
+        ((1.0, 0.0), -1, (1,), 0.5, False),
+        ((1.0, 0.0), 0, (1, 2), 0.5, False),
+        ((1.0, 0.0), 0, (), 0.5, False),
+        # Half the diagonal of a surface is 10.2 m.
+        ((1.25, 0.0), 0, (1,), 9.5, True),
+        ((1.25, 0.0), 0, (1,), 11.0, False),
+    ],
 )
-def test_off_the_places_it_says_nothing(along_m: float, across_m: float) -> None:
-    assert ask().road_at(NS, at(along_m, across_m), link_ids=(1,), radius_m=0.5) is None
-
-
-def test_it_is_good_for_two_seconds_and_never_for_the_past() -> None:
-    answer, here = ask(), at(1.0, 0.0)
-    assert answer.road_at(NS + 2 * SECOND_NS, here, link_ids=(1,), radius_m=0.5) is not None
-    assert answer.road_at(NS + 2 * SECOND_NS + 1, here, link_ids=(1,), radius_m=0.5) is None
-    assert answer.road_at(NS - 1, here, link_ids=(1,), radius_m=0.5) is None
-
-
-def test_with_other_links_in_question_it_says_nothing() -> None:
-    assert ask().road_at(NS, at(1.0, 0.0), link_ids=(1, 2), radius_m=0.5) is None
-    assert ask().road_at(NS, at(1.0, 0.0), link_ids=(), radius_m=0.5) is None
+def test_it_is_good_on_its_places_for_two_seconds_for_its_links_and_as_far_as_its_plane_holds(
+    place_m: tuple[float, float], after_ns: int, link_ids: tuple[int, ...], radius_m: float, known: bool
+) -> None:
+    road = ask().road_at(NS + after_ns, at(*place_m), link_ids=link_ids, radius_m=radius_m)
+    assert (road is not None) == known
 
 
 def test_beyond_the_end_of_the_road_it_says_nothing() -> None:
@@ -137,15 +140,9 @@ def test_an_answer_that_knows_nothing_or_names_places_never_asked_for_is_none() 
     assert RoadAhead.of(fewer, reply) is None
 
 
-def test_where_its_plane_does_not_hold_as_far_as_it_must_it_says_nothing() -> None:
-    answer, here = ask(), at(1.25, 0.0)
-    extent_m = 10.0  # half the diagonal of a surface, or a little more
-    assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m - 0.5) is not None
-    assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m + 1.0) is None
-    result = answer.road_at(NS, here, link_ids=(1,), radius_m=0.0)
-    assert (
-        result.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
-    )  # measured from the place sampled, a quarter metre away
+def test_its_extent_is_measured_from_the_place_sampled_a_quarter_metre_away() -> None:
+    result = ask().road_at(NS, at(1.25, 0.0), link_ids=(1,), radius_m=0.0)
+    assert result.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
 
 
 def test_where_the_nearest_place_is_not_known_no_neighbour_stands_for_it() -> None:

@@ -24,9 +24,9 @@ START_NS = 1_300_000_000 * 1_000_000_000
 
 
 def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> LayerMatch:
-    distances = {"mean_distance_m": mean_distance_m, "overlap": 0.81}
-    fit = LayerFit(transform=np.eye(4), converged=True, points=1234, **distances)
-    values = {"offset": np.zeros(3), "covariance": np.eye(3), "residual": 0.97, "inliers": 0.64}
+    distance = {"mean_distance_m": mean_distance_m}
+    fit = LayerFit(transform=np.eye(4), converged=True, points=1234, overlap=0.81, **distance)
+    values = {"offset": np.zeros(3), "covariance": np.eye(3), "residual": 0.97, "inliers": 0.64} | distance
     return LayerMatch(bounds_m=(low_m, high_m), fit=fit, outcome=outcome, **values)  # type: ignore[arg-type]
 
 
