@@ -32,7 +32,7 @@ class PortOf(Protocol[T]):
         """Close it."""
 
 
-class Input(Generic[T]):
+class _Input(Generic[T]):
     """`issues` are those of the last call; `shift_ns` is to be added to the times of what is made of the items."""
 
     def __init__(self, name: str) -> None:
@@ -42,16 +42,8 @@ class Input(Generic[T]):
         self.ended = False
         self._name = name
 
-    def take(self, now_ns: int) -> list[T]:
-        """What has come by this GPS time."""
-        raise NotImplementedError
 
-    def close(self) -> None:
-        """Close it."""
-        raise NotImplementedError
-
-
-class Live(Input[T]):
+class Live(_Input[T]):
     """A port; its issues are named after it."""
 
     def __init__(self, name: str, port: PortOf[T]) -> None:
@@ -78,7 +70,7 @@ class Live(Input[T]):
         self._port.close()
 
 
-class Played(Input[T]):
+class Played(_Input[T]):
     """A recording at the pace of the clock, from when `start` was called; its issues are named after it."""
 
     def __init__(self, name: str, file: TimedFile[T]) -> None:

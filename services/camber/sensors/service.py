@@ -13,7 +13,7 @@ from camber.runtime.service import Service
 from camber.schemas.base import Message
 from camber.schemas.motion import Suspension
 from camber.sensors.can_motion import quantities_in
-from camber.sensors.inputs import Input, Live, Played, gps_ns
+from camber.sensors.inputs import Live, Played, gps_ns
 from camber.sensors.settings import SensorsSettings
 from camber.sensors.sources import can_source, lidar_source
 from camber.transport.packet_ports import CanPort, UdpPort
@@ -41,7 +41,7 @@ class SensorsService(Service[SensorsSettings]):
         # By a clock that is never set: a silent input stays so when this machine's clock is set back.
         self._given_s = dict.fromkeys(expected, time.monotonic())
 
-    def _open_lidar(self) -> Input[Datagram] | None:
+    def _open_lidar(self) -> Live[Datagram] | Played[Datagram] | None:
         if self.settings.lidar.source is None:
             return None
         where = lidar_source(self.settings.lidar.source)
@@ -49,7 +49,7 @@ class SensorsService(Service[SensorsSettings]):
             return Live("lidar", UdpPort(where[1], where[2]))
         return Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name)))
 
-    def _open_can(self) -> Input[CanFrame] | None:
+    def _open_can(self) -> Live[CanFrame] | Played[CanFrame] | None:
         if self.settings.can.source is None:
             return None
         where = can_source(self.settings.can.source)

@@ -11,21 +11,19 @@ from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED
+from camber.tools.options.parsers import add_with_default
 
 
 def main(argv: Sequence[str]) -> int:
     """Simulate and replay the drive; prints the summary."""
     parser = argparse.ArgumentParser(prog="camber demo", description=__doc__)
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="output folder (default out/demo)"
-    )
+    add_with_default(parser, "--out", Path("out/demo"), "output folder", type=Path, metavar="DIR")
     parser.add_argument("--seed", type=SEED, help="seed of the drive")
     add_speed_options(parser)
-    parser.add_argument(
-        "--short",
-        action="store_true",
-        help="use a street with wrong fixes at known times instead of the city: created in a second, without numba",
+    text = (
+        "use a street with wrong fixes at known times instead of the city: created in a second, without numba"
     )
+    parser.add_argument("--short", action="store_true", help=text)
     args = parser.parse_args(argv)
     check_speed(parser, args)
 

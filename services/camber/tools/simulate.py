@@ -21,7 +21,6 @@ from tqdm import tqdm
 
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.runtime.clock import SystemClock
-from camber.runtime.session import BusError
 from camber.schemas.drive import load_manifest
 from camber.simulator.output.drive_folder import parts_of, write_drive
 from camber.simulator.output.fleet_folder import write_fleet
@@ -50,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     # SIGTERM raises KeyboardInterrupt, so that the temporary folder is removed.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        return report_failures(_PROG, args.out or Path(args.scenario), lambda: _run(args))
+        return report_failures(_PROG, args.out or Path(args.scenario), lambda: _run(args), bus_code=3)
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -68,19 +67,9 @@ def _run(args: argparse.Namespace) -> int:
         raise ScenarioError(f"{scenario.name}: a fleet, expected one vehicle for --live")
     with _folder(args.out) as out:
         manifest = simulate(scenario, out, quiet=args.quiet)
-        try:
-            with stopped_by_signals() as stop:
-                feed(
-                    load_manifest(manifest),
-                    manifest.parent,
-                    stop,
-                    connect=args.connect,
-                    vehicle=args.vehicle,
-                    prog=_PROG,
-                )
-        except BusError as error:
-            print(f"{_PROG}: {error}", file=sys.stderr)
-            return 3
+        bus = {"connect": args.connect, "vehicle": args.vehicle}
+        with stopped_by_signals() as stop:
+            feed(load_manifest(manifest), manifest.parent, stop, **bus, prog=_PROG)
     return 0
 
 
@@ -140,20 +129,15 @@ def _make_room(out: Path, scenario: Scenario) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="output folder; optional with --live")
-    parser.add_argument("--live", action="store_true", help="then publish the drive on the bus in real time")
+    add = parser.add_argument
+    add("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
+    add("--out", type=Path, metavar="DIR", help="output folder; optional with --live")
+    add("--live", action="store_true", help="then publish the drive on the bus in real time")
     live = parser.add_argument_group("with --live")
-    live.add_argument(
-        "--starts-in",
-        type=SECONDS,
-        metavar="S",
-        help="start the drive S seconds from now, with raw observations; simulating it must not take longer",
-    )
+    text = "start the drive S seconds from now, with raw observations; simulating it must not take longer"
+    live.add_argument("--starts-in", type=SECONDS, metavar="S", help=text)
     add_bus_arguments(live)
-    parser.add_argument("--seed", type=SEED, help="random seed")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no summary line")
+    add("--seed", type=SEED, help="random seed")
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario")
+    add("--quiet", action="store_true", help="no progress bar, no summary line")
     return parser

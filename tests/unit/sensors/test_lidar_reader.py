@@ -1,6 +1,7 @@
 """Sweeps out of packets: those of the simulated sensors give the simulated sweeps, whatever happens in between."""
 
 import json
+from collections import Counter
 from functools import cache
 from random import Random
 from unittest.mock import Mock
@@ -70,15 +71,17 @@ def reader(
     return LidarReader("top", decoder, clock, least_share)
 
 
-def read(one: LidarReader, arrived, at_once: int = 16) -> tuple[list[Sweep], list[tuple[str, str]]]:
-    """Packets with their times of arrival, and perhaps senders."""
+def read(
+    one: LidarReader, arrived, at_once: int = 16
+) -> tuple[list[Sweep], list[tuple[str, str]], Counter[str]]:
+    """Sweeps, issues and counts of packets with their times of arrival, and perhaps senders."""
     result: list[Sweep] = []
     issues: list[tuple[str, str]] = []
     for k in range(0, len(arrived), at_once):
         times_ns, payloads, *senders = zip(*arrived[k : k + at_once], strict=True)
         result += one.take(payloads, times_ns, *senders)
         issues += one.issues
-    return result + one.finish(), issues
+    return result + one.finish(), issues, one.counts
 
 
 def alike(kind: str, measured: Sweep, true: Sweep) -> None:
@@ -105,13 +108,12 @@ def all_alike(kind: str, measured: list[Sweep], first: int = 0) -> None:
 @pytest.mark.parametrize("at_once", [1, 16, 10_000])
 @pytest.mark.parametrize("kind", KINDS)
 def test_packets_of_simulated_sweeps_give_them_again(kind: str, at_once: int) -> None:
-    one = reader(kind)
-    result, issues = read(one, packets(kind), at_once)
+    result, issues, counts = read(reader(kind), packets(kind), at_once)
     assert issues == []
     assert len(result) == len(sweeps(kind)) == 4
     all_alike(kind, result)
-    assert one.counts["sweeps.whole"] == 4
-    assert one.counts["packets.lost"] == one.counts["packets.late"] == one.counts["packets.repeated"] == 0
+    assert counts["sweeps.whole"] == 4
+    assert counts["packets.lost"] == counts["packets.late"] == counts["packets.repeated"] == 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -120,20 +122,18 @@ def test_packets_that_come_in_another_order_or_twice_change_nothing(kind: str) -
     shuffled = sorted(packets(kind), key=lambda packet: packet[0] + random.randrange(2_800_000))
     doubled = [packet for k, packet in enumerate(shuffled) for _ in range(2 if k % 50 == 3 else 1)]
     assert shuffled != list(packets(kind))
-    one = reader(kind)
-    result, issues = read(one, doubled)
+    result, issues, counts = read(reader(kind), doubled)
     assert issues == []
     all_alike(kind, result)
-    assert one.counts["packets.repeated"] + one.counts["packets.late"] == len(doubled) - len(shuffled)
+    assert counts["packets.repeated"] + counts["packets.late"] == len(doubled) - len(shuffled)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_lost_is_counted_and_costs_its_points_alone(kind: str) -> None:
     kept = [packet for k, packet in enumerate(packets(kind)) if k % 10 != 4]
-    one = reader(kind)
-    result, _ = read(one, kept)
+    result, _, counts = read(reader(kind), kept)
     assert len(result) == 4
-    assert one.counts["packets.lost"] == len(packets(kind)) - len(kept)
+    assert counts["packets.lost"] == len(packets(kind)) - len(kept)
     for a, b in zip(result, sweeps(kind), strict=True):
         assert 0.85 < len(a.points_m) / len(b.points_m) < 0.95
         everything = set(map(tuple, np.round(b.points_m.astype(float), 1).tolist()))
@@ -148,9 +148,8 @@ def test_of_a_long_gap_all_are_counted(kind: str, share: float) -> None:
     quarter = len(packets(kind)) // 4
     first = quarter * 9 // 4
     lost = round(share * quarter)
-    one = reader(kind)
-    read(one, packets(kind)[:first] + packets(kind)[first + lost :])
-    assert one.counts["packets.lost"] == pytest.approx(lost, abs=1)
+    *_, counts = read(reader(kind), packets(kind)[:first] + packets(kind)[first + lost :])
+    assert counts["packets.lost"] == pytest.approx(lost, abs=1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -161,21 +160,18 @@ def test_what_is_measured_in_no_turn_is_not_lost(kind: str, middle: float) -> No
     turns = [(k / quarter - middle + 0.5) % 1.0 - 0.5 for k in range(len(packets(kind)))]
     seen = [packet for turn, packet in zip(turns, packets(kind), strict=True) if abs(turn) > 0.125]
     kept = [packet for k, packet in enumerate(seen) if k % 20 != 7]
-    one = reader(kind, least_share=0.3)
-    read(one, seen)
-    assert one.counts["packets.lost"] <= 1
-    one = reader(kind, least_share=0.3)
-    read(one, kept)
-    assert one.counts["packets.lost"] == pytest.approx(len(seen) - len(kept), abs=2)
+    *_, counts = read(reader(kind, least_share=0.3), seen)
+    assert counts["packets.lost"] <= 1
+    *_, counts = read(reader(kind, least_share=0.3), kept)
+    assert counts["packets.lost"] == pytest.approx(len(seen) - len(kept), abs=2)
 
 
 def test_of_two_returns_each_packet_that_is_lost_is_one() -> None:
-    one = reader("velodyne")
     made = dual_velodyne(packets("velodyne"))
     kept = [packet for k, packet in enumerate(made) if k % 10 != 4]
     assert len(made) > 700
-    read(one, kept)
-    assert one.counts["packets.lost"] == pytest.approx(len(made) - len(kept), abs=1)
+    *_, counts = read(reader("velodyne"), kept)
+    assert counts["packets.lost"] == pytest.approx(len(made) - len(kept), abs=1)
 
 
 def dual_velodyne(single: tuple[tuple[int, bytes], ...]) -> list[tuple[int, bytes]]:
@@ -193,10 +189,9 @@ def dual_velodyne(single: tuple[tuple[int, bytes], ...]) -> list[tuple[int, byte
 @pytest.mark.parametrize("kind", KINDS)
 def test_sweeps_of_which_too_little_came_are_left_out(kind: str) -> None:
     quarter = len(packets(kind)) // 4
-    one = reader(kind)
-    result, _ = read(one, packets(kind)[quarter * 3 // 4 : 2 * quarter + quarter // 3])
+    result, _, counts = read(reader(kind), packets(kind)[quarter * 3 // 4 : 2 * quarter + quarter // 3])
     assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in result] == [2]
-    assert one.counts["sweeps.partial"] == 2
+    assert counts["sweeps.partial"] == 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -204,7 +199,7 @@ def test_two_turns_are_never_one_sweep_when_all_between_is_lost(kind: str) -> No
     """From the middle of one turn to the middle of the next: places in the turn go on as if nothing were."""
     quarter = len(packets(kind)) // 4
     lost = packets(kind)[: quarter // 2] + packets(kind)[quarter * 3 // 2 + 3 :]
-    result, _ = read(reader(kind, least_share=0.2), lost)
+    result, *_ = read(reader(kind, least_share=0.2), lost)
     spans = [int(sweep.offset_ns[-1]) - int(sweep.offset_ns[0]) for sweep in result]
     assert max(spans) < 101_000_000
     assert len(result) == 4
@@ -215,10 +210,9 @@ def test_a_clock_that_is_set_back_within_a_turn_gives_no_sweep_of_two_times(kind
     """60 ms at once: within what is accepted, and named."""
     later = [(arrival_ns, shifted(kind, payload, -60_000)) for arrival_ns, payload in packets(kind)]
     half = len(later) * 11 // 16
-    one = reader(kind)
-    result, issues = read(one, [*packets(kind)[:half], *later[half:]], 8)
+    result, issues, counts = read(reader(kind), [*packets(kind)[:half], *later[half:]], 8)
     assert {code for code, _ in issues} == {"lidar_clock_jumped"}
-    assert one.counts["clock.jumps"] == 1
+    assert counts["clock.jumps"] == 1
     assert len(result) == 3
     for k in range(2):
         alike(kind, result[k], sweeps(kind)[k])
@@ -244,19 +238,18 @@ def shifted_ouster(payload: bytes, by_ns: int, session: int = 7) -> bytes:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_clock_that_is_wrong_gives_no_sweep_but_an_issue(kind: str) -> None:
     by_us = 900_000_000 if kind == "velodyne" else -37_000_000
-    one = reader(kind)
     wrong = [(arrival_ns, shifted(kind, payload, by_us)) for arrival_ns, payload in packets(kind)]
-    result, issues = read(one, wrong)
+    result, issues, counts = read(reader(kind), wrong)
     assert result == []
     assert {code for code, _ in issues} == {"lidar_clock"}
-    assert one.counts["packets.refused_time"] == len(packets(kind))
+    assert counts["packets.refused_time"] == len(packets(kind))
 
 
 def test_a_sensor_that_starts_again_begins_a_new_sweep() -> None:
     half = len(packets("ouster")) // 2 + 20
     before, after = packets("ouster")[:half], packets("ouster")[half:]
     again = [(arrival_ns, shifted_ouster(payload, 0, session=8)) for arrival_ns, payload in after]
-    result, issues = read(reader("ouster", least_share=0.3), [*before, *again], 4)
+    result, issues, _ = read(reader("ouster", least_share=0.3), [*before, *again], 4)
     assert ("lidar_started_again", "the sensor's session is 8 now") in issues
     assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in result] == [1, 2, 3, 4]
     assert len(result[2].points_m) < len(sweeps("ouster")[2].points_m)
@@ -269,8 +262,7 @@ def test_packets_of_others_are_counted_and_change_nothing() -> None:
         mixed.append(packet)
         if random.random() < 0.05:
             mixed.append((packet[0], random.choice((b"", random.randbytes(1206), packets("ouster")[0][1]))))
-    one = reader("velodyne")
-    result, issues = read(one, mixed)
+    result, issues, _ = read(reader("velodyne"), mixed)
     assert {code for code, _ in issues} == {"lidar_packets"}
     all_alike("velodyne", result)
 
@@ -290,7 +282,7 @@ def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_
     both = sorted((*packet, sender) for sent, sender in senders for packet in sent)
     mixed = [(arrival_ns - 300_000 * (k % 50 == 7), *more) for k, (arrival_ns, *more) in enumerate(both)]
     one = reader(kind)
-    result, issues = read(one, mixed)
+    result, issues, _ = read(one, mixed)
     assert len(result) == 4
     all_alike(kind, result)
     text = "packets from 10.0.0.3 too, not only of 10.0.0.2: set sender"
@@ -308,7 +300,6 @@ def turned(kind: str, payload: bytes, columns: int) -> bytes:
 
 
 def test_another_sender_that_comes_first_is_not_read_for_ever() -> None:
-    one = reader("velodyne")
     arrived = [(packets("velodyne")[0][0], b"unknown", "10.0.0.9")]
     for turn in range(8):
         for arrival_ns, payload in packets("velodyne"):
@@ -316,10 +307,10 @@ def test_another_sender_that_comes_first_is_not_read_for_ever() -> None:
             packet = shifted_velodyne(payload, later_us)
             arrived.append((arrival_ns + later_us * 1000, packet, "10.0.0.2"))
         arrived.append((arrived[-1][0], b"unknown", "10.0.0.9"))
-    result, _ = read(one, arrived)
+    result, _, counts = read(reader("velodyne"), arrived)
     # All but those of the first two seconds.
     assert len(result) == pytest.approx(32 - 20, abs=1)
-    assert one.counts["packets.of_others"] > 7
+    assert counts["packets.of_others"] > 7
 
 
 def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
@@ -337,7 +328,7 @@ def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_free_running_sensor_is_late_by_no_more_than_its_network(kind: str) -> None:
     """A packet leaves once its last measurement is made; that is not the delay of its first."""
-    result, _ = read(reader(kind, "arrival"), packets(kind))
+    result, *_ = read(reader(kind, "arrival"), packets(kind))
     for sweep, true in zip(result, sweeps(kind), strict=True):
         assert abs(sweep.time_ns - true.time_ns - LATE_NS) < 150_000
 
@@ -351,7 +342,7 @@ def test_an_ouster_in_another_mode_than_in_its_metadata_gives_no_sweep(mode: str
     text = text.replace('"column_window": [0, 1023]', f'"column_window": [0, {columns - 1}]')
     metadata = read_ouster_metadata(text, "m.json")
     assert (metadata.columns, metadata.turns_hz) == (columns, int(mode.split("x")[1]))
-    result, issues = read(reader("ouster", metadata=text), packets("ouster"))
+    result, issues, _ = read(reader("ouster", metadata=text), packets("ouster"))
     assert result == []
     assert "lidar_model" in {code for code, _ in issues}
 
@@ -368,7 +359,7 @@ def misplaced() -> list[tuple[int, bytes]]:
 
 @pytest.mark.parametrize("at_once", [1, 16, 10_000])
 def test_one_packet_of_another_mode_costs_its_turn_alone_however_packets_are_read(at_once: int) -> None:
-    result, issues = read(reader("ouster"), misplaced(), at_once)
+    result, issues, _ = read(reader("ouster"), misplaced(), at_once)
     assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in result] == [1, 2, 4]
     assert {code for code, _ in issues} == {"lidar_model"}
 
@@ -380,7 +371,7 @@ def test_an_ouster_with_a_narrow_window_is_read_again_after_such_a_packet(share:
     middle = len(packets("ouster")) * 5 // 8
     numbered = enumerate(misplaced())
     seen = [packet for k, packet in numbered if k % quarter < share * quarter or k == middle]
-    result, _ = read(reader("ouster", least_share=0.2), seen)
+    result, *_ = read(reader("ouster", least_share=0.2), seen)
     assert round((result[-1].time_ns - START_NS) / 1e8 + 0.5 - share / 2.0) == 4
 
 
@@ -402,7 +393,7 @@ def test_a_velodyne_that_looks_to_one_side_alone_dates_what_is_after_the_gap(gap
         stamp = (round(part[0][1]) % 3_600_000_000).to_bytes(4, "little")
         arrived.append((part[-1][0] + LATE_NS, b"".join(block for *_, block in part) + stamp + b"\x37\x21"))
     one = reader("velodyne", least_share=0.3)
-    result, issues = read(one, arrived)
+    result, issues, _ = read(one, arrived)
     assert issues == []
     assert len(result) == 4
     for sweep, true in zip(result, sweeps("velodyne"), strict=True):
@@ -430,11 +421,11 @@ def test_of_packets_that_are_refused_each_issue_has_a_text() -> None:
 
 def test_a_sensor_that_stands_still_gives_no_sweep_and_fills_no_memory() -> None:
     arrival_ns, payload = packets("velodyne")[40]
-    one = reader("velodyne")
     later_us = [k * 553 - 1_000_000 for k in range(4000)]
-    result, _ = read(one, [(arrival_ns + us * 1000, shifted_velodyne(payload, us)) for us in later_us])
+    arrived = [(arrival_ns + us * 1000, shifted_velodyne(payload, us)) for us in later_us]
+    result, _, counts = read(reader("velodyne"), arrived)
     assert result == []
-    assert one.counts["sweeps.not_turning"] >= 1
+    assert counts["sweeps.not_turning"] >= 1
 
 
 def test_a_turn_that_cannot_be_a_sweep_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -445,7 +436,7 @@ def test_a_turn_that_cannot_be_a_sweep_is_not_tried_again(monkeypatch: pytest.Mo
         broken.setattr(one._cutter, "_sweep", Mock(side_effect=RuntimeError))
         with pytest.raises(RuntimeError):
             read(one, half, 10_000)
-    result, _ = read(one, packets("ouster")[len(half) :], 16)
+    result, *_ = read(one, packets("ouster")[len(half) :], 16)
     all_alike("ouster", result, 1)
 
 
@@ -453,9 +444,9 @@ def test_a_turn_that_cannot_be_a_sweep_is_not_tried_again(monkeypatch: pytest.Mo
 def test_a_recording_that_goes_on_at_an_earlier_time_gives_its_sweeps(kind: str) -> None:
     one = reader(kind)
     for _ in range(2):
-        result, issues = read(one, packets(kind))
+        result, issues, counts = read(one, packets(kind))
         assert (len(result), issues) == (4, [])
-    assert one.counts["packets.late"] == 0
+    assert counts["packets.late"] == 0
 
 
 def test_another_beam_table_would_be_noticed() -> None:
@@ -463,6 +454,6 @@ def test_another_beam_table_would_be_noticed() -> None:
     metadata = json.loads(ouster_metadata())
     beams = metadata["beam_intrinsics"]
     beams["beam_altitude_angles"] = [angle + 0.1 for angle in beams["beam_altitude_angles"]]
-    result, _ = read(reader("ouster", metadata=json.dumps(metadata)), packets("ouster"))
+    result, *_ = read(reader("ouster", metadata=json.dumps(metadata)), packets("ouster"))
     with pytest.raises(AssertionError):
         alike("ouster", result[0], sweeps("ouster")[0])

@@ -41,7 +41,7 @@ def recorded(folder: Path, kind: str) -> tuple[Path, list]:
     path = folder / "lidar.pcap"
     path.write_bytes(b"".join(pcap_of(sweeps(kind), kind)))
     packets = PcapDecoder("lidar.pcap").feed(path.read_bytes())
-    result, issues = read(reader(kind), [(gps_ns(one.time_ns), one.payload) for one in packets])
+    result, issues, _ = read(reader(kind), [(gps_ns(one.time_ns), one.payload) for one in packets])
     assert issues == []
     return path, result
 

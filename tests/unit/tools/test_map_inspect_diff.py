@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber import cli
@@ -21,6 +20,7 @@ from support import lanelet_maps, opendrive_maps
 from support.lanelet_maps import lanelet2_bytes
 from support.opendrive_maps import opendrive_bytes
 from support.refusals import Refused
+from support.release_world import KEY, OTHER_KEY
 from support.small_map import link, surface, write
 
 LINE = [(-10.0, 0.0), (10.0, 0.0)]
@@ -33,11 +33,11 @@ def a_release(folder: Path, **changed: object) -> Path:
 
 
 def test_a_release_is_reported_by_levels_sigmas_and_signer(tmp_path: Path) -> None:
-    key = Ed25519PrivateKey.generate()
-    pem = tmp_path / "key.pub"
-    pem.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
-    folder = a_release(tmp_path / "map", signing_key=key, surrogate="made up")
-    report = inspected(folder, pem)
+    mine, other = tmp_path / "mine.pub", tmp_path / "other.pub"
+    for pem, key in ((mine, KEY), (other, OTHER_KEY)):
+        pem.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    folder = a_release(tmp_path / "map", signing_key=KEY, surrogate="made up")
+    report = inspected(folder, mine)
     assert report["surfaces"]["count"] == 3
     assert report["surfaces"]["by level"] == {"0": 2, "1": 1}
     assert report["surfaces"]["sigma"] == "median 0.030 m, 90 % 0.046 m, most 0.050 m"
@@ -46,9 +46,7 @@ def test_a_release_is_reported_by_levels_sigmas_and_signer(tmp_path: Path) -> No
     assert report["surrogate"] == "made up"
     assert report["signature"].endswith(", right")
     assert inspected(folder)["signature"].endswith(", not checked")
-    other = Ed25519PrivateKey.generate().public_key()
-    pem.write_bytes(other.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
-    assert cli.main(["map", "inspect", str(folder), "--public-key", str(pem)]) == 2
+    assert cli.main(["map", "inspect", str(folder), "--public-key", str(other)]) == 2
 
 
 def stored(folder: Path, path: Path, without: str | None = None) -> None:

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber import cli
 from camber.formats.map_exchange.lanelet2 import LaneletMap, read_lanelet2
-from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
+from support.built_maps import build_map, elevation_map, known_roads, link_ends, link_levels
 from support.lanelet_maps import (
     BRIDGE,
     FRAME,
@@ -31,21 +30,17 @@ from support.refusals import Refused
 
 Floats = NDArray[np.float64]
 
-COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--sigma-m", "0.02")
-
-
 ELLIPSOIDAL = ("--vertical-datum", "ellipsoidal")
 
 
-def arguments(folder: Path, lanelets: LaneletMap, *options: str) -> list[str]:
+def imported(folder: Path, lanelets: LaneletMap, *options: object) -> int:
     folder.mkdir(exist_ok=True)
     (folder / "town.osm").write_bytes(lanelet2_bytes(lanelets))
-    files = (str(folder / "town.osm"), "--out", str(folder / "map"))
-    return ["map", "build", "lanelet2", *files, *COMMON, *options]
+    return build_map("lanelet2", folder / "map", folder / "town.osm", "--sigma-m", "0.02", *options)
 
 
-def build(folder: Path, lanelets: LaneletMap, *options: str) -> Release:
-    assert cli.main(arguments(folder, lanelets, *(options or ELLIPSOIDAL))) == 0
+def build(folder: Path, lanelets: LaneletMap, *options: object) -> Release:
+    assert imported(folder, lanelets, *(options or ELLIPSOIDAL)) == 0
     return read_release(folder / "map")
 
 
@@ -56,12 +51,9 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
 
 def roads_at(release: Release, east_m: Floats, north_m: Floats, *links: int) -> Floats:
     """Elevations of the release at places of the town; all must be known."""
-    heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
     plane = np.column_stack((east_m, north_m))
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(plane, np.zeros(len(plane)))
-    result = heights.roads(latitude, longitude, links)
-    assert len(result.known) == len(east_m)
-    return result.elevation_m
+    return known_roads(release, latitude, longitude, *links).elevation_m
 
 
 def test_elevations_are_those_that_the_map_was_made_of_within_a_millimetre(release: Release) -> None:
@@ -85,8 +77,7 @@ def test_there_are_no_gaps_along_a_lane(release: Release) -> None:
 
 
 def test_what_lies_over_something_is_on_a_higher_level(release: Release) -> None:
-    links = release.road_links()
-    levels = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
+    levels = link_levels(release)
     assert levels == {STREET_WEST: 0, STREET_EAST: 0, ONCOMING: 0, BRIDGE: 1, RAMP: 0}
     surfaces = release.road_surfaces()
     assert {levels[link] for link in surfaces.link_id.tolist()} == {0, 1}
@@ -94,7 +85,7 @@ def test_what_lies_over_something_is_on_a_higher_level(release: Release) -> None
 
 
 def test_under_the_bridge_the_link_says_which_road_it_is(release: Release) -> None:
-    heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
+    heights = elevation_map(release)
     latitude, longitude, _ = FRAME.geodetic_from_east_north(-0.5, -1.0, 0.0)
     assert heights.road(latitude, longitude).reason == "levels_ambiguous"
     street, bridge = (heights.road(latitude, longitude, [link]) for link in (STREET_WEST, BRIDGE))
@@ -102,9 +93,7 @@ def test_under_the_bridge_the_link_says_which_road_it_is(release: Release) -> No
 
 
 def test_links_share_a_node_where_lanelets_share_their_end_points(release: Release) -> None:
-    links = release.road_links()
-    columns = (links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist())
-    ends = {link: (start, end) for link, start, end in zip(*columns, strict=True)}
+    ends = link_ends(release)
     assert ends[STREET_WEST][1] == ends[STREET_EAST][0]
     assert ends[BRIDGE][1] == ends[RAMP][0]
     assert len({node for pair in ends.values() for node in pair}) == 8
@@ -126,9 +115,8 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
     first = build(tmp_path, made)
     moved = made.latitude_rad.copy()
     moved[made.row_of[1030]] += 0.3 / 6.4e6  # the right border of one lane
-    second = build(
-        tmp_path, replace(made, latitude_rad=moved), *ELLIPSOIDAL, "--previous", str(tmp_path / "map")
-    )
+    previous = ("--previous", tmp_path / "map")
+    second = build(tmp_path, replace(made, latitude_rad=moved), *ELLIPSOIDAL, *previous)
     before, after = first.road_surfaces(), second.road_surfaces()
     kept = np.isin(after.surface_id, before.surface_id)
     assert set(after.link_id[~kept].tolist()) == {STREET_WEST}
@@ -155,7 +143,7 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
 def test_heights_of_an_unknown_kind_are_refused_in_one_line(
     options: tuple[str, ...], output: str, tmp_path: Path, refused: Refused
 ) -> None:
-    line = refused(cli.main, *arguments(tmp_path, town(), *options))
+    line = refused(lambda _: imported(tmp_path, town(), *options))
     assert line.startswith(f"camber map build lanelet2: {tmp_path / 'town.osm'}: ")
     assert output in line
     assert not (tmp_path / "map").exists()
@@ -174,10 +162,9 @@ def test_a_recorded_circuit_is_followed_within_a_centimetre(data: Path, tmp_path
     path = data / "lanelet2" / "monza.osm"
     if not path.exists():
         pytest.skip("CAMBER_DATA does not name a folder with lanelet2")
-    files = (str(path), "--out", str(tmp_path / "map"))
-    assert cli.main(["map", "build", "lanelet2", *files, *COMMON, *ELLIPSOIDAL]) == 0
+    assert build_map("lanelet2", tmp_path / "map", path, "--sigma-m", "0.02", *ELLIPSOIDAL) == 0
     release, circuit = read_release(tmp_path / "map"), read_lanelet2(path)
-    heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
+    heights = elevation_map(release)
     off = {}
     for lanelet in circuit.lanelets:
         ids = lanelet.left + lanelet.right

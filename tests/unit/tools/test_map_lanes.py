@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber import cli
 from camber.formats.errors import FormatError
 from camber.road_map.release import read_release
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Lane
+from support.built_maps import build_map
 from support.lanelet_maps import FRAME, lanelet2_bytes, town
 
 Floats = NDArray[np.float64]
@@ -173,16 +173,13 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    options = ("--vertical-datum", "ellipsoidal", "--sigma-m", "0.02", "--region", "town", "--datum", "WGS84")
-    arguments = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *options]
-    arguments += ["--epoch-year", "2024.5", "--out", str(tmp_path / "map")]
-    assert cli.main(arguments) == 0
-    assert cli.main(arguments) == 2
+    options = (tmp_path / "town.osm", "--vertical-datum", "ellipsoidal", "--sigma-m", "0.02")
+    out, previous = tmp_path / "map", ("--previous", tmp_path / "map")
+    assert build_map("lanelet2", out, *options) == 0
+    assert build_map("lanelet2", out, *options) == 2
     assert "expected one without a release, or --previous" in capsys.readouterr().err
-    assert cli.main([*arguments, "--previous", str(tmp_path / "map"), "--surveyed", "2024-09-01"]) == 0
-    root = read_release(tmp_path / "map").root
-    assert root.map_version == 2
-    assert cli.main([*arguments, "--previous", str(tmp_path / "map"), "--map-version", "2"]) == 2
-    unsigned = [*arguments[:-1], str(tmp_path / "new"), "--signing-key", str(tmp_path / "none.pem")]
-    assert cli.main(unsigned) == 2
+    assert build_map("lanelet2", out, *options, *previous, "--surveyed", "2024-09-01") == 0
+    assert read_release(out).root.map_version == 2
+    assert build_map("lanelet2", out, *options, *previous, "--map-version", "2") == 2
+    assert build_map("lanelet2", tmp_path / "new", *options, "--signing-key", tmp_path / "none.pem") == 2
     assert not (tmp_path / "new").exists()

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber import cli
 from camber.formats.map_exchange.opendrive import OpenDrive, OpenDriveRoad
 from camber.formats.map_exchange.opendrive_geometry import cubics_at, reference_line
-from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
 from camber.tools.maps.importers.lanes import named_id
+from support.built_maps import build_map, known_roads, link_ends, link_levels
 from support.opendrive_maps import cubics, opendrive_bytes, town
 from support.refusals import Refused
 
@@ -23,13 +22,10 @@ pyproj = pytest.importorskip("pyproj")
 
 Floats = NDArray[np.float64]
 
-COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--sigma-m", "0.02")
-
 
 def build(folder: Path, drive: OpenDrive, *options: str) -> int:
     (folder / "town.xodr").write_bytes(opendrive_bytes(drive))
-    files = (str(folder / "town.xodr"), "--out", str(folder / "map"))
-    return cli.main(["map", "build", "opendrive", *files, *COMMON, *options])
+    return build_map("opendrive", folder / "map", folder / "town.xodr", "--sigma-m", "0.02", *options)
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +46,8 @@ def off_m(release: Release, road: OpenDriveRoad, section: int, lane: int, s: Flo
     y = line[:, 1] + np.cos(line[:, 2]) * t * np.cos(roll)
     expected = cubics_at(road.elevation, s) + t * np.sin(roll)
     longitude, latitude = pyproj.Proj(proj="utm", zone=32, datum="WGS84")(x, y, inverse=True)
-    heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
-    result = heights.roads(np.radians(latitude), np.radians(longitude), [link(road.identity, section, lane)])
-    assert len(result.known) == len(s)
+    on_lane = link(road.identity, section, lane)
+    result = known_roads(release, np.radians(latitude), np.radians(longitude), on_lane)
     return float(np.abs(result.elevation_m - expected).max())
 
 
@@ -72,18 +67,14 @@ def test_elevations_are_those_of_the_formulas_within_a_millimetre(release: Relea
 
 
 def test_the_bridge_is_on_a_level_above_the_street(release: Release) -> None:
-    links = release.road_links()
-    levels = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
-    assert {levels[link("2", 0, lane)] for lane in (1, -1)} == {1}
-    assert {
-        level for link_id_1, level in levels.items() if link_id_1 not in (link("2", 0, 1), link("2", 0, -1))
-    } == {0}
+    bridge = {link("2", 0, 1), link("2", 0, -1)}
+    levels = link_levels(release)
+    assert levels == {lane: int(lane in bridge) for lane in levels}
+    assert bridge <= set(levels)
 
 
 def test_lanes_that_go_on_to_one_another_share_a_node(release: Release) -> None:
-    links = release.road_links()
-    columns = (links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist())
-    ends = {link_id_1: (start, end) for link_id_1, start, end in zip(*columns, strict=True)}
+    ends = link_ends(release)
     # To the right of the reference line traffic goes along it, to the left against it.
     assert ends[link("1", 0, -1)][1] == ends[link("1", 1, -1)][0]
     assert ends[link("1", 0, 1)][0] == ends[link("1", 1, 1)][1]
@@ -98,8 +89,8 @@ def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -
     left = [dataclasses.replace(road, left_hand_traffic=True) for road in drive.roads]
     assert build(tmp_path, dataclasses.replace(drive, roads=left), "--vertical-datum", "ellipsoidal") == 0
     lines = []
-    for link_id_1 in (release, read_release(tmp_path / "map")):
-        links = link_id_1.road_links()
+    for each in (release, read_release(tmp_path / "map")):
+        links = each.road_links()
         lines.append(links.vertices[links.link_id.tolist().index(link("2", 0, -1))])
     np.testing.assert_allclose(lines[0], lines[1][::-1], atol=1e-10)
 

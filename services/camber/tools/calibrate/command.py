@@ -9,19 +9,21 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from camber.integrity.learning.common_offset import CommonOffset
-from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.lock_step.processes import config_text
-from camber.runtime.settings import load
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.motion import LeverArm
-from camber.tools.calibrate.calibration import HorizontalCalibration, calibrate_horizontal
-from camber.tools.calibrate.calibration_run import CalibrationData, estimate_antenna_height, pair
+from camber.tools.calibrate.calibration import (
+    CalibrationData,
+    HorizontalCalibration,
+    calibrate_horizontal,
+    estimate_antenna_height,
+    pair,
+)
 from camber.tools.localize.drive_anchors import receiver_fixes
-from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
-from camber.tools.localize.localizer_config import localizer_config
-from camber.tools.localize.localizer_run import localize
+from camber.tools.localize.local_map_queries import LocalMapQueries
+from camber.tools.localize.localizer_run import drive_map, localize, localizer_settings
 from camber.tools.options.error_report import report_failures
+from camber.tools.options.parsers import add_drive, tool_parser
 
 _PROG = "camber calibrate"
 _LOAD_SIGMA_M = 0.01  # chosen: load and tyres move an antenna by about this from drive to drive
@@ -31,15 +33,13 @@ def main(argv: Sequence[str]) -> int:
     """Calibrate from one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
 
-    def work() -> int:
+    def work() -> str:
         summary, snippet = calibrate(load_manifest(args.drive, args.set), quiet=args.quiet)
         if args.out is None:
-            print(f"{summary}\n\n{snippet}", end="")
-            return 0
+            return f"{summary}\n\n{snippet.rstrip()}"
         args.out.parent.mkdir(parents=True, exist_ok=True)
         args.out.write_text(snippet, "utf-8")
-        print(f"{summary}\nWritten: {args.out}.")
-        return 0
+        return f"{summary}\nWritten: {args.out}."
 
     return report_failures(_PROG, args.out or args.drive, work)
 
@@ -66,20 +66,10 @@ def calibrate(manifest: DriveManifest, *, quiet: bool = True) -> tuple[str, str]
 
 def _calibration_data(inputs: DriveInputs, work: Path, *, quiet: bool) -> CalibrationData:
     """Pair the fixes with poses of a localizer that does not receive them."""
-    manifest = inputs.manifest
     fixes = receiver_fixes(inputs)
-    for present, expected in (
-        (inputs.motion, "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"),
-        (inputs.initial_pose, "initial_pose, expected one: poses must be independent of the fixes"),
-        (inputs.map_release, "table map, expected one, or links and road_surfaces as surrogates"),
-    ):
-        if not present:
-            raise ManifestError(f"{manifest.name}: no {expected}")
-    assert inputs.map_release is not None
-    file = work / "localizer.toml"
-    file.write_text(config_text(localizer_config(manifest, inputs.initial_pose)) + "\n", "utf-8")
-    settings, _ = load(LocalizerSettings, ["--config", str(file)], prog=_PROG)
-    release = release_for(inputs.map_release, manifest.datum)
+    no_start = "initial_pose, expected one: poses must be independent of the fixes"
+    release = drive_map(inputs, (inputs.initial_pose, no_start))
+    settings = localizer_settings(inputs, work, prog=_PROG)
     drive = localize(inputs, settings.options(settings.initial_pose), LocalMapQueries(release), quiet=quiet)
     return pair(fixes, drive.poses)
 
@@ -141,18 +131,9 @@ def _snippet(
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__, allow_abbrev=False)
-    parser.add_argument(
-        "drive",
-        type=Path,
-        metavar="drive.toml",
-        help="manifest with fixes, motion, a map, and optionally sweeps",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="file for the TOML (default: standard output)"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser = tool_parser(_PROG, __doc__, allow_abbrev=False)
+    add_drive(parser, "manifest with fixes, motion, a map, and optionally sweeps")
+    add = parser.add_argument
+    add("--out", type=Path, metavar="FILE", help="file for the TOML (default: standard output)")
+    add("--quiet", action="store_true", help="no progress bar")
     return parser

@@ -11,8 +11,7 @@ from pathlib import Path
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
 from camber.tools.generate_docs.decision_table import decision_table
-from camber.tools.generate_docs.parameters import parameter_table
-from camber.tools.generate_docs.runbook import issues_by_service, runbook_rows
+from camber.tools.generate_docs.service_tables import issues_by_service, parameter_table, runbook_rows
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -33,10 +32,9 @@ SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
 def main(argv: list[str] | None = None) -> int:
     """Write the pages, or with `--check` report which are not current; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m camber.tools.generate_docs", description=__doc__)
-    parser.add_argument(
-        "--check", action="store_true", help="fail where a page is not current; write nothing"
-    )
-    parser.add_argument("--docs", type=Path, default=DOCS, help="folder of the pages")
+    add = parser.add_argument
+    add("--check", action="store_true", help="fail where a page is not current; write nothing")
+    add("--docs", type=Path, default=DOCS, help="folder of the pages")
     args = parser.parse_args(argv)
     current = pages(args.docs)
     outdated = [

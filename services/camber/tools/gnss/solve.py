@@ -40,12 +40,9 @@ _SAME_TIME_NS = NS_PER_SECOND // 50
 def main(argv: Sequence[str]) -> int:
     """Solve one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
-
-    def work() -> int:
-        print(solve(load_manifest(args.drive, args.set), _options(args), args.out))
-        return 0
-
-    return report_failures(_PROG, args.out, work)
+    return report_failures(
+        _PROG, args.out, lambda: solve(load_manifest(args.drive, args.set), _options(args), args.out)
+    )
 
 
 def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:

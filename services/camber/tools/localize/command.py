@@ -10,21 +10,15 @@ from typing import get_args
 
 from camber.localizer.matching.match_view import MatchView
 from camber.localizer.matching.scan_matcher import ScanMatcher
-from camber.localizer.settings import LocalizerSettings
-from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.lock_step.processes import config_text
-from camber.road_map.release import Release
-from camber.runtime.settings import load
-from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.replay.drive_inputs import prepare_drive
+from camber.schemas.drive import DriveManifest, load_manifest
 from camber.schemas.pose import ScanMatch
-from camber.tools.localize.csv_files import matches_csv, poses_csv
 from camber.tools.localize.drive_anchors import Anchors, anchors_of, receiver_fixes
 from camber.tools.localize.drive_plot import drive_figure
-from camber.tools.localize.figures import drive_summary
-from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
-from camber.tools.localize.localizer_config import localizer_config
-from camber.tools.localize.localizer_run import localize
+from camber.tools.localize.local_map_queries import LocalMapQueries
+from camber.tools.localize.localizer_run import drive_map, localize, localizer_settings
 from camber.tools.localize.match_picture import match_figure
+from camber.tools.localize.results import drive_summary, matches_csv, poses_csv
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.tools.options.parsers import add_drive, tool_parser
@@ -37,51 +31,55 @@ _NEAR_NS = 500_000_000
 _BADNESS = {"converged": 0, "ambiguous": 1, "lost": 2}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocalizeOptions:
-    """Optional inputs of the localizer, and the matches to draw (seconds after the start)."""
-
-    anchors: Anchors = "none"
-    fixes: bool = False
-    pictures_s: tuple[float, ...] = ()
-    settings: tuple[str, ...] = ()
-    """Further settings, in the form of the service's command line."""
-
-
 def main(argv: Sequence[str]) -> int:
     """Localize one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args, further = _parser().parse_known_args(argv)
-    options = LocalizeOptions(
-        anchors=args.anchors, fixes=args.fixes, pictures_s=tuple(args.picture), settings=tuple(further)
-    )
+    options = {"anchors": args.anchors, "fixes": args.fixes, "pictures_s": args.picture, "quiet": args.quiet}
 
-    def work() -> int:
-        print(localize_drive(load_manifest(args.drive, args.set), args.out, options, quiet=args.quiet))
-        return 0
+    def work() -> str:
+        return localize_drive(load_manifest(args.drive, args.set), args.out, settings=further, **options)
 
     return report_failures(_PROG, args.out, work)
 
 
 def localize_drive(
-    manifest: DriveManifest, out: Path, options: LocalizeOptions, *, quiet: bool = True
+    manifest: DriveManifest,
+    out: Path,
+    *,
+    anchors: Anchors = "none",
+    fixes: bool = False,
+    pictures_s: Sequence[float] = (),
+    settings: Sequence[str] = (),
+    quiet: bool = True,
 ) -> str:
     """Write poses.csv, matches.csv, localize.svg and pictures into a folder; returns a summary.
+
+    `anchors` and `fixes` are optional inputs of the localizer; `pictures_s` the matches to draw, in seconds after the
+    start; `settings` further ones, in the form of the service's command line.
 
     Raises ManifestError where the drive lacks inputs, ConfigError, FormatError, OSError.
     """
     require_matplotlib()
     out.mkdir(parents=True, exist_ok=True)
     inputs = prepare_drive(manifest, out / "work")
-    settings = _settings(inputs, out, options)
-    release = _release(inputs, options, settings)
-    views = _MatchViews(start_ns=inputs.tick_times_ns[0], requested_s=options.pictures_s)
+    used = localizer_settings(inputs, out, prog=_PROG, further=settings)
+    no_sweeps = (
+        "table sweeps with sweeps in it, expected one, or --no-match-sweeps for motion and links alone"
+    )
+    starts = used.initial_pose is not None or fixes or anchors != "none"
+    release = drive_map(
+        inputs,
+        (inputs.sweeps or not used.match_sweeps, no_sweeps),
+        (starts, "initial_pose, expected one, or --fixes or --anchors to start from"),
+    )
+    views = _MatchViews(start_ns=inputs.tick_times_ns[0], requested_s=pictures_s)
     drive = localize(
         inputs,
-        settings.options(settings.initial_pose),
+        used.options(used.initial_pose),
         LocalMapQueries(release),
-        fixes=receiver_fixes(inputs) if options.fixes else (),
-        anchors=anchors_of(inputs, options.anchors),
-        observer=views,
+        fixes=receiver_fixes(inputs) if fixes else (),
+        anchors=anchors_of(inputs, anchors),
+        on_matches=views.on_matches,
         quiet=quiet,
     )
     poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
@@ -96,8 +94,8 @@ def localize_drive(
     for file, text in texts.items():
         (out / file).write_text(text, "utf-8")
     surrogates = list(manifest.surrogate_notes())
-    if options.anchors != "none":
-        surrogates.append(f"anchors from {options.anchors}: an integrity judge without errors")
+    if anchors != "none":
+        surrogates.append(f"anchors from {anchors}: an integrity judge without errors")
     summary = drive_summary(
         manifest.name, drive, poses=poses, matches=matches, errors=errors, surrogates=surrogates
     )
@@ -105,42 +103,12 @@ def localize_drive(
     return "\n".join([summary, written, *views.missed(), *drive.notes])
 
 
-def _release(inputs: DriveInputs, options: LocalizeOptions, settings: LocalizerSettings) -> Release:
-    """Return the map of a drive with all inputs needed; raises ManifestError where one is missing."""
-    manifest = inputs.manifest
-    no_start = settings.initial_pose is None and not options.fixes and options.anchors == "none"
-    for is_missing, expected in (
-        (not inputs.motion, "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"),
-        (
-            settings.match_sweeps and not inputs.sweeps,
-            "table sweeps with sweeps in it, expected one, or --no-match-sweeps for motion and links alone",
-        ),
-        (no_start, "initial_pose, expected one, or --fixes or --anchors to start from"),
-        (
-            inputs.map_release is None,
-            "table map, expected one, or links and road_surfaces as surrogates",
-        ),
-    ):
-        if is_missing:
-            raise ManifestError(f"{manifest.name}: no {expected}")
-    assert inputs.map_release is not None  # checked above
-    return release_for(inputs.map_release, manifest.datum)
-
-
-def _settings(inputs: DriveInputs, out: Path, options: LocalizeOptions) -> LocalizerSettings:
-    """Return the settings that the process would have in a replay; their file stays in `out`."""
-    file = out / "localizer.toml"
-    file.write_text(config_text(localizer_config(inputs.manifest, inputs.initial_pose)) + "\n", "utf-8")
-    settings, _ = load(LocalizerSettings, ["--config", str(file), *options.settings], prog=_PROG)
-    return settings
-
-
 @dataclass(slots=True, kw_only=True)
 class _MatchViews:
     """Collects the views of the matches to draw: those requested, and the worst."""
 
     start_ns: int
-    requested_s: tuple[float, ...]
+    requested_s: Sequence[float]
     requested: dict[float, MatchView] = field(default_factory=dict)
     worst: MatchView | None = None
     _least: tuple[int, float] = (-1, 0.0)
@@ -182,12 +150,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser = tool_parser(_PROG, __doc__, settings, allow_abbrev=False)
     add_drive(parser, "manifest with motion, sweeps and a map", out="out/localize")
+    add, seconds = parser.add_argument, number_from(0.0, 1e6, "s")
     text = "confirmed positions: none, the truth once a second, or the receiver's fixes that agree with the truth"
-    parser.add_argument("--anchors", choices=get_args(Anchors), default="none", help=text)
-    text = "let the receiver's unconfirmed fixes initialize the pose"
-    parser.add_argument("--fixes", action="store_true", help=text)
+    add("--anchors", choices=get_args(Anchors), default="none", help=text)
+    add("--fixes", action="store_true", help="let the receiver's unconfirmed fixes initialize the pose")
     text = "draw the match nearest to S seconds after the start; repeatable"
-    seconds = number_from(0.0, 1e6, "s")
-    parser.add_argument("--picture", type=seconds, action="append", default=[], metavar="S", help=text)
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add("--picture", type=seconds, action="append", default=[], metavar="S", help=text)
+    add("--quiet", action="store_true", help="no progress bar")
     return parser

@@ -4,31 +4,55 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from pathlib import Path
+from typing import TypeVar
 
 from tqdm import tqdm
 
 from camber.localizer.localization import Localization, LocalizationOptions
 from camber.localizer.map_queries import MapQueries
 from camber.localizer.matching.scan_matcher import ScanMatcher
+from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs
+from camber.replay.lock_step.processes import config_text
 from camber.replay.sweep_files import SweepReader
+from camber.road_map.release import Release
+from camber.runtime.settings import load
 from camber.schemas.base import Message
+from camber.schemas.drive import ManifestError
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 from camber.schemas.pose import Pose, ScanMatch
+from camber.tools.localize.local_map_queries import release_for
+from camber.tools.localize.localizer_config import localizer_config
 
 M = TypeVar("M", bound=Message)
+OnMatches = Callable[[Sequence[ScanMatch], ScanMatcher], None]
+"""Called with the matches of one step, while the matcher still holds their view."""
 
 
-class MatchObserver(Protocol):
-    """Receives matches while the matcher still holds their view."""
+def localizer_settings(
+    inputs: DriveInputs, folder: Path, *, prog: str, further: Sequence[str] = ()
+) -> LocalizerSettings:
+    """Return the settings that the process would have in a replay; their file stays in the folder."""
+    file = folder / "localizer.toml"
+    file.write_text(config_text(localizer_config(inputs.manifest, inputs.initial_pose)) + "\n", "utf-8")
+    settings, _ = load(LocalizerSettings, ["--config", str(file), *further], prog=prog)
+    return settings
 
-    def on_matches(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
-        """Called with the matches of one step."""
+
+def drive_map(inputs: DriveInputs, *needed: tuple[object, str]) -> Release:
+    """Return the map of a drive. ManifestError names what is missing: motion, the map, or what else is `needed`."""
+    motion = "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"
+    release = "table map, expected one, or links and road_surfaces as surrogates"
+    for present, name in ((inputs.motion, motion), *needed, (inputs.map_release, release)):
+        if not present:
+            raise ManifestError(f"{inputs.manifest.name}: no {name}")
+    assert inputs.map_release is not None  # checked above
+    return release_for(inputs.map_release, inputs.manifest.datum)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -67,21 +91,21 @@ def localize(
     *,
     fixes: Sequence[Fix] = (),
     anchors: Sequence[Verdict] = (),
-    observer: MatchObserver | None = None,
+    on_matches: OnMatches | None = None,
     quiet: bool = True,
 ) -> LocalizedDrive:
     """Feed all inputs in the order of a replay: a verdict comes after the pose of its epoch."""
     tally, reader = IssueTally(), SweepReader()
     localization = Localization(options, answers, tally)
     matcher = localization.matcher
-    fixed, confirmed = _TimeOrdered(fixes), _TimeOrdered(anchors)
+    fixed, confirmed = deque(fixes), deque(anchors)
     poses: list[Pose] = []
     matches: list[ScanMatch] = []
     sweep_s: list[float] = []
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
-            fixed.deliver_before(tick.time_ns + 1, localization.on_fix)
-            confirmed.deliver_before(tick.time_ns, localization.on_verdict)
+            _deliver_before(tick.time_ns + 1, fixed, localization.on_fix)
+            _deliver_before(tick.time_ns, confirmed, localization.on_verdict)
             for motion in tick.motion:
                 localization.on_motion(motion)
             sweeps = list(reader.read(tick.sweeps)) if matcher is not None else []
@@ -94,23 +118,14 @@ def localize(
             matches += step.matches
             if step.pose is not None:
                 poses.append(step.pose)
-            if observer is not None and matcher is not None and step.matches:
-                observer.on_matches(step.matches, matcher)
+            if on_matches is not None and matcher is not None and step.matches:
+                on_matches(step.matches, matcher)
             bar.update()
     return LocalizedDrive(
         poses=poses, matches=matches, sweep_s=sweep_s, tally=tally, notes=(*inputs.notes, *reader.notes())
     )
 
 
-class _TimeOrdered(Generic[M]):
-    """Messages in time order, each delivered once."""
-
-    def __init__(self, messages: Sequence[M]) -> None:
-        self._messages = messages
-        self._next = 0
-
-    def deliver_before(self, time_ns: int, receive: Callable[[M], None]) -> None:
-        """Deliver the messages older than `time_ns`."""
-        while self._next < len(self._messages) and self._messages[self._next].time_ns < time_ns:
-            receive(self._messages[self._next])
-            self._next += 1
+def _deliver_before(time_ns: int, waiting: deque[M], receive: Callable[[M], None]) -> None:
+    while waiting and waiting[0].time_ns < time_ns:
+        receive(waiting.popleft())

@@ -16,6 +16,7 @@ from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from, whole_from
+from camber.tools.options.parsers import tool_parser
 from camber.tools.options.subcommands import Command, choose_command
 
 _PROG = "camber map build"
@@ -30,9 +31,7 @@ KINDS = {
     "drive": Command(
         "camber.tools.maps.importers.survey_drive", "confirmed positions of a replay or a truth.csv"
     ),
-    "geojson": Command(
-        "camber.tools.maps.importers.geojson_roads", "GeoJSON as `camber map export` writes it"
-    ),
+    "geojson": Command("camber.tools.maps.geojson", "GeoJSON as `camber map export` writes it"),
     "geotiff": Command("camber.tools.maps.importers.rasters", "heights of a raster along given roads"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
@@ -93,7 +92,7 @@ def _day_of(epoch_year: float) -> date:
 
 
 def _parser(prog: str, description: str | None) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser = tool_parser(prog, description)
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="folder of the release")
     add("--region", required=True, help="name of the region that the map is of")

@@ -40,10 +40,9 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="all of it, for machines")
     args = parser.parse_args(argv)
 
-    def work() -> int:
+    def work() -> str:
         report = compared(release_at(args.a), release_at(args.b))
-        print(json.dumps(report, indent=2) if args.json else "\n".join(_lines(report, args.most)))
-        return 0
+        return json.dumps(report, indent=2) if args.json else "\n".join(_lines(report, args.most))
 
     return report_failures(_PROG, args.b, work)
 

@@ -17,7 +17,7 @@ from camber.formats.errors import FormatError
 from camber.formats.map_exchange.pcd import PointCloud, pcd_bytes
 from camber.formats.map_exchange.vertical_datum import aligned_to_wgs84, crs_of
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
-from camber.road_map.release import Release, load_public_key, read_release
+from camber.road_map.release import Release
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.surface_heights import SurfaceHeights
@@ -26,9 +26,10 @@ from camber.schemas.road import CloudTile, Layer
 from camber.tools.maps.geojson import geojson_text
 from camber.tools.maps.importers.rasters import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
+from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
-from camber.tools.options.parsers import add_public_key, tool_parser
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map export"
 _MOST_CELLS = 200_000_000  # chosen: bounds memory
@@ -39,19 +40,16 @@ _CLOUDS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
 def main(argv: Sequence[str]) -> int:
     """Export one release; 0 done, 2 an error, reported in one line."""
     parser = tool_parser(_PROG, __doc__)
-    parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
+    add_release(parser)
     parser.add_argument("--to", required=True, choices=sorted(_EXPORTERS))
     parser.add_argument("--out", type=Path, required=True, metavar="PATH")
-    add_public_key(parser)
     text = "side of a cell: geotiff 0.5, pcd 20 where it is not given"
     parser.add_argument("--cell-m", type=number_from(0.01, 1e4, "m"), metavar="D", help=text)
     args = parser.parse_args(argv)
 
-    def work() -> int:
-        key = None if args.public_key is None else load_public_key(args.public_key)
-        release = read_release(args.release, public_key=key)
-        print("\n".join(_EXPORTERS[args.to](release, str(args.release), args.out, args.cell_m)))
-        return 0
+    def work() -> str:
+        export = _EXPORTERS[args.to]
+        return "\n".join(export(named_release(args), str(args.release), args.out, args.cell_m))
 
     return report_failures(_PROG, args.out, work)
 

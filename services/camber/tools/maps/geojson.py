@@ -1,4 +1,7 @@
-"""Roads as GeoJSON (RFC 7946): positions are WGS 84, the third coordinate is the height above its ellipsoid.
+"""`camber map build geojson`: surfaces and links as `camber map export --to geojson` writes them.
+
+In GeoJSON (RFC 7946) positions are WGS 84, and the third coordinate is the height above its ellipsoid: there is no
+other datum to name.
 
     surface   Polygon, its corners with their heights; properties hold all columns of RoadSurfaces
     link      LineString; properties hold all columns of RoadLinks
@@ -8,6 +11,7 @@ What is written is read again as it was. Lines of another origin need no propert
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 from collections.abc import Mapping
@@ -21,6 +25,7 @@ from camber.formats.errors import FormatError
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
+from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lanes import named_links
 
 _DECIMALS = 10  # of degrees: a hundredth of a millimetre
@@ -29,6 +34,20 @@ _SURFACE = (
 )  # fmt: skip
 _LINK = ("link_id", "start_node", "end_node", "level", "sigma_m")
 _MOST_BYTES = 1 << 31  # chosen: bounds the memory of the JSON parser
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What only GeoJSON needs."""
+    parser.add_argument("file", type=Path, metavar="FILE.geojson")
+
+
+def build(args: argparse.Namespace) -> BuiltMap:
+    """Everything in the file; each surface must be on one of its links."""
+    surfaces, links, _ = read_geojson(args.file)
+    stray = set(surfaces.link_id.tolist()) - set(links.link_id.tolist())
+    if stray:
+        raise FormatError(str(args.file), "link_id", "a link of the file", actual=str(min(stray)))
+    return BuiltMap(surfaces=surfaces, links=links)
 
 
 def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:

@@ -20,9 +20,9 @@ from camber.road_map.release_files import BlobMissingError
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
-from camber.tools.maps.release_at import is_release, release_at
+from camber.tools.maps.release_at import add_public_key, is_release, release_at
 from camber.tools.options.error_report import report_failures
-from camber.tools.options.parsers import add_public_key, tool_parser
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map inspect"
 _EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate lengths
@@ -39,10 +39,9 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="all of it, for machines")
     args = parser.parse_args(argv)
 
-    def work() -> int:
+    def work() -> str:
         report = inspected(args.path, args.public_key)
-        print(json.dumps(report, indent=2, ensure_ascii=False) if args.json else "\n".join(_lines(report)))
-        return 0
+        return json.dumps(report, indent=2, ensure_ascii=False) if args.json else "\n".join(_lines(report))
 
     return report_failures(_PROG, args.path, work)
 

@@ -16,15 +16,16 @@ import numpy as np
 from camber.formats.errors import FormatError
 from camber.formats.observations import Floats, Integers
 from camber.geodesy.local_frame import LocalFrame
-from camber.road_map.release import Release, load_public_key, read_release
+from camber.road_map.release import Release
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.tile_grid import Tile, tile_corners_rad
 from camber.schemas.road import LAYERS
 from camber.tools.localize.map_drawing import draw_clouds, link_lines
+from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
-from camber.tools.options.parsers import add_public_key, add_with_default, tool_parser
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.validation.plots import draw_lines, plot_style, png_bytes
 
 if TYPE_CHECKING:
@@ -41,22 +42,18 @@ _MARGIN_M = 5.0  # around the outermost surfaces; chosen: about a lane and a hal
 def main(argv: Sequence[str]) -> int:
     """Draw one release; 0 done, 2 an error, reported in one line."""
     parser = tool_parser(_PROG, __doc__)
-    parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
+    add_release(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
     number = whole_from(-(2**31), 2**31 - 1)
     parser.add_argument("--tile", type=number, nargs=2, metavar=("X", "Y"), help="only this one")
     add_with_default(parser, "--pixels", 1200, "of the longer side", type=whole_from(16, 20_000))
-    add_public_key(parser)
     args = parser.parse_args(argv)
 
-    def work() -> int:
-        key = None if args.public_key is None else load_public_key(args.public_key)
-        release = read_release(args.release, public_key=key)
+    def work() -> str:
         tile = None if args.tile is None else (args.tile[0], args.tile[1])
-        png, summary = picture(release, str(args.release), tile, args.pixels)
+        png, summary = picture(named_release(args), str(args.release), tile, args.pixels)
         write_file(args.out, png)
-        print(f"{args.out}: {summary}")
-        return 0
+        return f"{args.out}: {summary}"
 
     return report_failures(_PROG, args.out, work)
 

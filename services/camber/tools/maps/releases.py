@@ -7,7 +7,6 @@ an earlier one, for the whole fleet. Back in a store: that vehicle alone, to the
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -25,6 +24,7 @@ from camber.road_map.road_columns import ReleaseError
 from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.review import user_name
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import NUMBER
 from camber.tools.options.parsers import tool_parser
 
@@ -48,15 +48,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--who", default=user_name(), help="with --roll-back: who does it (the user's name)")
     parser.add_argument("--reason", help="with --roll-back: why; must be given")
     args = parser.parse_args(argv)
-    try:
-        if args.path.is_dir():
-            return _folder(args)
-        if not args.path.is_file():
-            raise ReleaseError(str(args.path), "path", "a folder of releases, or a vehicle's store")
-        return _store(args)
-    except (ReleaseError, OSError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
+    return report_failures(_PROG, args.path, lambda: (_folder if args.path.is_dir() else _store)(args))
 
 
 def _folder(args: argparse.Namespace) -> int:
@@ -160,6 +152,8 @@ def _day(time_ns: int) -> str:
 
 
 def _store(args: argparse.Namespace) -> int:
+    if not args.path.is_file():
+        raise ReleaseError(str(args.path), "path", "a folder of releases, or a vehicle's store")
     if args.roll_back is not None or args.why is not None:
         raise ReleaseError(str(args.path), "path", "a folder of releases for --roll-back and --why")
     with closing(MapStore(args.path)) as store:

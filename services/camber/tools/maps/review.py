@@ -9,13 +9,13 @@ from __future__ import annotations
 import argparse
 import getpass
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from camber.map_update.release.review import HeldChange, ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import NUMBER
 from camber.tools.options.parsers import tool_parser
 
@@ -33,13 +33,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
     parser.add_argument("--why", help="why; must be given with a decision")
     args = parser.parse_args(argv)
-    try:
-        if not args.releases.is_dir():
-            raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
-        return _carry_out(ReviewFolder(args.releases), args)
-    except (ReleaseError, OSError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
+    return report_failures(_PROG, args.releases, lambda: _carry_out(args))
 
 
 def user_name() -> str:
@@ -50,15 +44,17 @@ def user_name() -> str:
         return f"uid {os.getuid()}"
 
 
-def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
+def _carry_out(args: argparse.Namespace) -> int | str:
+    if not args.releases.is_dir():
+        raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
+    review = ReviewFolder(args.releases)
     if args.log:
         for each in review.decisions():
             print(f"{each.surface_id:>12}  {each.action:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
-        print("\n".join(_lines(review.held())))
-        return 0
+        return "\n".join(_lines(review.held()))
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
     action: ReviewAction = "accept" if args.accept else "reject"
@@ -71,8 +67,7 @@ def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
     review.append(
         [ReviewDecision(surface_id=n, offset_m=offset_m, **decision) for n, offset_m in offsets_m.items()]
     )
-    print(f"{len(chosen)} changes: {action}; map_update applies it in its next cycle")
-    return 0
+    return f"{len(chosen)} changes: {action}; map_update applies it in its next cycle"
 
 
 def _lines(held: Sequence[HeldChange]) -> list[str]:

@@ -24,16 +24,13 @@ exit codes: 0 ok, starting or degraded (waiting for inputs, which a restart woul
 def main(argv: Sequence[str]) -> int:
     """Query one service and print its health; return the exit code."""
     parser = tool_parser(_PROG, __doc__, _HELP)
-    services = (*SERVICES, SENSORS, ROUTER)
-    parser.add_argument("service", choices=services, metavar="SERVICE", help="name of the service, or router")
-    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
+    services, add = (*SERVICES, SENSORS, ROUTER), parser.add_argument
+    add("service", choices=services, metavar="SERVICE", help="name of the service, or router")
+    add("--vehicle", metavar="V", help="name of the vehicle")
     add_bus_options(parser)
-    add_with_default(
-        parser, "--timeout", 3.0, "seconds to wait", type=number_from(0.001, 60.0, "s"), metavar="S"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="one JSON object with counters and texts of issues"
-    )
+    seconds = number_from(0.001, 60.0, "s")
+    add_with_default(parser, "--timeout", 3.0, "seconds to wait", type=seconds, metavar="S")
+    add("--json", action="store_true", help="one JSON object with counters and texts of issues")
     args = parser.parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle, service=args.service)
     endpoints = settings.zenoh.connect

@@ -25,11 +25,11 @@ _LONGEST_S = 86_400.0  # chosen: a forgotten debug level ends within a day
 def main(argv: Sequence[str]) -> int:
     """Set the level of one service, in all its workers; 0 done, 1 no answer, 3 no connection to the bus."""
     parser = tool_parser(_PROG, __doc__)
-    parser.add_argument("service", choices=_CHOICES, metavar="SERVICE", help=", ".join(_CHOICES))
-    parser.add_argument("level", choices=typing.get_args(LogLevel), help="lowest level that is logged")
-    duration = "90s, 10m, 2h (default 10m)"
-    parser.add_argument("--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help=duration)
-    parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
+    add = parser.add_argument
+    add("service", choices=_CHOICES, metavar="SERVICE", help=", ".join(_CHOICES))
+    add("level", choices=typing.get_args(LogLevel), help="lowest level that is logged")
+    add("--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help="90s, 10m, 2h (default 10m)")
+    add("--vehicle", metavar="V", help="its name (default vehicle)")
     add_bus_options(parser)
     add_with_default(parser, "--timeout", 3.0, "seconds to wait", type=SECONDS, metavar="S")
     args = parser.parse_args(argv)

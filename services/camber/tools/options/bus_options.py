@@ -21,11 +21,10 @@ class _OfTools(ServiceSettings):
 
 def add_bus_options(parser: argparse._ActionsContainer) -> None:
     """Add `--connect` and `--config`; `--vehicle` is added by tools that have one."""
-    parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable"
-    )
+    add = parser.add_argument
+    add("--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable")
     text = "settings of any service: its vehicle and [zenoh], TLS among it"
-    parser.add_argument("--config", type=Path, metavar="FILE", help=text)
+    add("--config", type=Path, metavar="FILE", help=text)
 
 
 def bus_settings(

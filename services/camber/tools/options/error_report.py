@@ -13,19 +13,27 @@ from camber.runtime.settings import ConfigError
 from camber.schemas.toml_file import FileError
 
 
-def report_failures(prog: str, out: Path, work: Callable[[], int]) -> int:
-    """Run `work` and return its exit code; print a failure as one line: 1 bus, 2 file or setting, 130 interrupted."""
+def report_failures(
+    prog: str, out: Path, work: Callable[[], int | str], *, bus_code: int | None = None
+) -> int:
+    """Run `work` and return its exit code; a text is printed and is code 0. Print a failure as one line.
+
+    Codes: 2 file or setting; 130 interrupted; of the bus `bus_code`, or 1 with the logs in `out` to look into.
+    """
     try:
-        return work()
+        done = work()
     except (FileError, FormatError, ConfigError) as error:
-        print(f"{prog}: {error}", file=sys.stderr)
-        return 2
+        code, failure = 2, str(error)
     except OSError as error:
-        print(f"{prog}: {error.filename or out}: {error.strerror or error}", file=sys.stderr)
-        return 2
+        code, failure = 2, f"{error.filename or out}: {error.strerror or error}"
     except (ReplayStuckError, BusError) as error:
-        print(f"{prog}: {error}; see {out / 'logs'}", file=sys.stderr)
-        return 1
+        code, failure = bus_code or 1, str(error) if bus_code else f"{error}; see {out / 'logs'}"
     except KeyboardInterrupt:
-        print(f"{prog}: interrupted", file=sys.stderr)
-        return 130
+        code, failure = 130, "interrupted"
+    else:
+        if isinstance(done, int):
+            return done
+        print(done)
+        return 0
+    print(f"{prog}: {failure}", file=sys.stderr)
+    return code

@@ -32,10 +32,3 @@ def add_drive(parser: argparse.ArgumentParser, help: str, *, out: str | None = N
     )
     if out is not None:
         add_with_default(parser, "--out", Path(out), "output folder", type=Path, metavar="DIR")
-
-
-def add_public_key(parser: argparse.ArgumentParser) -> None:
-    """Add `--public-key`."""
-    parser.add_argument(
-        "--public-key", type=Path, metavar="PEM", help="key that must have signed the release"
-    )

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from camber.formats.errors import FormatError
 from camber.formats.nmea.epochs import NmeaDecoder
 from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution
@@ -30,7 +29,7 @@ from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.sweep_files import SweepFile, SweepReader
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.session import BusError, NobodyThereError, open_session
+from camber.runtime.session import NobodyThereError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
@@ -38,6 +37,7 @@ from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.options.bus_options import bus_settings
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.parsers import add_drive, tool_parser
 from camber.tools.options.stop_signals import stopped_by_signals
 
@@ -83,18 +83,26 @@ class Epoch:
     sweeps: tuple[FedSweep, ...] = ()
     raw: tuple[ReceiverBytes, ...] = ()
 
-    def moved(self, offset_ns: int) -> Epoch:
-        """Return the epoch `offset_ns` later; without raw observations, which cannot be shifted."""
-        if offset_ns == 0:
+    def moved(self, offset_ns: int, *, backward: bool = False) -> Epoch:
+        """Return the epoch `offset_ns` later; without raw observations, which cannot be shifted.
+
+        `backward`: driven in reverse gear, at `offset_ns` minus its time.
+        """
+        if offset_ns == 0 and not backward:
             return self
+        sign = -1 if backward else 1
         return Epoch(
-            time_ns=self.time_ns + offset_ns,
-            solutions=tuple(replace(item, time_ns=item.time_ns + offset_ns) for item in self.solutions),
+            time_ns=sign * self.time_ns + offset_ns,
+            solutions=tuple(_moved_solution(item, offset_ns, sign) for item in self.solutions[::sign]),
             samples=tuple(
-                (name, item.model_copy(update={"time_ns": item.time_ns + offset_ns}))
-                for name, item in self.samples
+                (name, _moved_sample(item, offset_ns, sign)) for name, item in self.samples[::sign]
             ),
-            sweeps=tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
+            sweeps=tuple(
+                replace(
+                    sweep, moved_ns=sign * sweep.moved_ns + offset_ns, backward=sweep.backward != backward
+                )
+                for sweep in self.sweeps[::sign]
+            ),
         )
 
     def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
@@ -150,17 +158,7 @@ def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
     for epoch in reversed(epochs):
         due = later if epoch.sweeps else ()
         later = epoch.sweeps or later
-        back.append(
-            Epoch(
-                time_ns=span_ns - epoch.time_ns,
-                solutions=tuple(_backward_solution(item, span_ns) for item in reversed(epoch.solutions)),
-                samples=tuple((name, _backward_sample(s, span_ns)) for name, s in reversed(epoch.samples)),
-                sweeps=tuple(
-                    replace(sweep, moved_ns=span_ns - sweep.moved_ns, backward=not sweep.backward)
-                    for sweep in reversed(due)
-                ),
-            )
-        )
+        back.append(replace(epoch, sweeps=due).moved(span_ns, backward=True))
     return tuple(back)
 
 
@@ -178,25 +176,19 @@ def main(argv: Sequence[str]) -> int:
     parser = tool_parser(_PROG, __doc__)
     add_drive(parser, "manifest of the drive")
     add_bus_arguments(parser)
-    text = "drive forward and back in reverse gear until stopped"
-    parser.add_argument("--loop", action="store_true", help=text)
+    loop = "drive forward and back in reverse gear until stopped"
+    parser.add_argument("--loop", action="store_true", help=loop)
     args = parser.parse_args(argv)
-    try:
+
+    def work() -> int:
         manifest = load_manifest(args.drive, args.set)
         # Preparing a drive may build a map, which is not fed: it goes to a temporary folder.
         with stopped_by_signals() as stop, tempfile.TemporaryDirectory(prefix="camber-feed-") as work_folder:
             bus = {"connect": args.connect, "vehicle": args.vehicle}
             feed(manifest, Path(work_folder), stop, **bus, loop=args.loop, prog=_PROG)
-    except (ManifestError, FormatError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {error.filename or args.drive}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except BusError as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 3
-    return 0
+        return 0
+
+    return report_failures(_PROG, args.drive, work, bus_code=3)
 
 
 def feed(
@@ -309,17 +301,17 @@ def _pos_lines(solution: ReceiverSolution) -> bytes:
     return format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
 
 
-def _backward_solution(solution: ReceiverSolution, span_ns: int) -> ReceiverSolution:
+def _moved_solution(solution: ReceiverSolution, offset_ns: int, sign: int) -> ReceiverSolution:
     velocity = solution.velocity_enu_m_s
-    backward = None if velocity is None else (-velocity[0], -velocity[1], -velocity[2])
-    return replace(solution, time_ns=span_ns - solution.time_ns, velocity_enu_m_s=backward)
+    turned = None if velocity is None else (sign * velocity[0], sign * velocity[1], sign * velocity[2])
+    return replace(solution, time_ns=sign * solution.time_ns + offset_ns, velocity_enu_m_s=turned)
 
 
-def _backward_sample(message: Message, span_ns: int) -> Message:
-    update: dict[str, Any] = {"time_ns": span_ns - message.time_ns}
+def _moved_sample(message: Message, offset_ns: int, sign: int) -> Message:
+    update: dict[str, Any] = {"time_ns": sign * message.time_ns + offset_ns}
     if isinstance(message, Motion):
         readings = {"wheel_speed_m_s": message.wheel_speed_m_s, "yaw_rate_rad_s": message.yaw_rate_rad_s}
-        update |= {name: -value for name, value in readings.items() if value is not None}
+        update |= {name: sign * value for name, value in readings.items() if value is not None}
     return message.model_copy(update=update)
 
 

@@ -23,16 +23,29 @@ from camber.runtime.access_probe import BusError, can_publish, denial_message, n
 from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
+from camber.schemas.channels import CHANNELS
 from camber.tools.options.number_options import SECONDS
 from camber.tools.options.parsers import add_with_default, tool_parser
-from camber.tools.security.access_rules import INSIDE, Kind, Party
-from camber.tools.security.access_table import table_text
+from camber.tools.security.access_rules import INSIDE, AllowedMessage, Kind, Party, allowed_messages
 from camber.tools.security.certificates import Authority, CertsError, check_name
 from camber.tools.security.router_config import cloud_config, text_of, vehicle_config
 
 LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7448", "tcp/127.0.0.1:7447"
 FOLDER = Path("/etc/camber/tls")
 _KINDS: tuple[Kind, ...] = get_args(Kind)
+_ACTIONS = {
+    ("ingress", "put"): "publishes",
+    ("ingress", "declare_subscriber"): "subscribes",
+    ("ingress", "query"): "queries",
+    ("ingress", "declare_queryable"): "replies",
+}
+_HEADINGS = {
+    "vehicle": "vehicle `V`",
+    "map_update": "`map_update`",
+    "consumer": "consumer",
+    "judge": "judge in the cloud",
+    "operator": "operator",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -53,25 +66,25 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     cloud = commands.add_parser("cloud", help="write the configuration of a cloud router")
     cloud.set_defaults(work=_cloud)
-    text = "folder of the CA: include all certificates issued"
-    cloud.add_argument("--certs", type=Path, metavar="FOLDER", help=text)
+    add = cloud.add_argument
+    add("--certs", type=Path, metavar="FOLDER", help="folder of the CA: include all certificates issued")
     text = "repeatable; NAME=CN where the certificate's common name differs from NAME"
     for kind in ("vehicle", "consumer", "judge", "operator"):
-        cloud.add_argument(f"--{kind}", action="append", default=[], metavar="NAME", help=text)
+        add(f"--{kind}", action="append", default=[], metavar="NAME", help=text)
     text = "common names of all cloud routers, this one first (default cloud)"
-    cloud.add_argument("--router", action="append", metavar="CN", help=text)
-    cloud.add_argument("--listen", action="append", help=f"endpoint to listen on (default {LISTEN_CLOUD})")
-    cloud.add_argument("--connect", action="append", default=[], help="endpoint of another cloud router")
+    add("--router", action="append", metavar="CN", help=text)
+    add("--listen", action="append", help=f"endpoint to listen on (default {LISTEN_CLOUD})")
+    add("--connect", action="append", default=[], help="endpoint of another cloud router")
     vehicle = commands.add_parser("vehicle", help="write the configuration of a vehicle's router")
     vehicle.set_defaults(work=_vehicle)
-    vehicle.add_argument("name", metavar="NAME")
+    add = vehicle.add_argument
+    add("name", metavar="NAME")
     text = "endpoint of a cloud router; repeat for failover"
-    vehicle.add_argument("--connect", action="append", required=True, help=text)
-    text = f"endpoint within the vehicle (default {LISTEN_VEHICLE})"
-    vehicle.add_argument("--listen", action="append", help=text)
+    add("--connect", action="append", required=True, help=text)
+    add("--listen", action="append", help=f"endpoint within the vehicle (default {LISTEN_VEHICLE})")
     receivers = [kind for kind in _KINDS if kind != "vehicle"]
     text = "cloud parties that may receive this vehicle's messages (default map_update consumer)"
-    vehicle.add_argument("--to", nargs="+", choices=receivers, default=["map_update", "consumer"], help=text)
+    add("--to", nargs="+", choices=receivers, default=["map_update", "consumer"], help=text)
     for command in (cloud, vehicle):
         add_with_default(command, "--tls", FOLDER, "folder of CA, certificate and key", type=Path)
         command.add_argument("--out", type=Path, metavar="FILE", help="output file (default standard output)")
@@ -79,10 +92,10 @@ def _parser() -> argparse.ArgumentParser:
     table.set_defaults(work=lambda _: print(table_text(), end="") or 0)
     check = commands.add_parser("check", help="test whether this certificate may publish")
     check.set_defaults(work=_check)
-    check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
-    text = "vehicle to publish as (default: from the rules, else from the certificate)"
-    check.add_argument("--name", help=text)
-    check.add_argument("--timeout-s", type=SECONDS, default=5.0)
+    add = check.add_argument
+    add("file", type=Path, metavar="FILE", help="configuration of a router")
+    add("--name", help="vehicle to publish as (default: from the rules, else from the certificate)")
+    add("--timeout-s", type=SECONDS, default=5.0)
     return parser
 
 
@@ -132,6 +145,41 @@ def _vehicle(args: argparse.Namespace) -> int:
     about = f"Router of vehicle {args.name}: everything inside; one restricted link to the cloud."
     _write(args.out, text_of(config, about=about, made_by=args.made_by))
     return 0
+
+
+def table_text() -> str:
+    """Return one row for each channel open to any kind of certificate, one column for each kind."""
+    rules = {
+        kind: allowed_messages(Party(kind=kind, name="V" if kind == "vehicle" else kind), _KINDS)
+        for kind in _KINDS
+    }
+    lines = [
+        "| channel | key | " + " | ".join(_HEADINGS[kind] for kind in _KINDS) + " |",
+        "|---|---" + "|---" * len(_KINDS) + "|",
+    ]
+    for channel in CHANNELS:
+        key = channel.key.replace("{vehicle}", "V")
+        cells = [_cell(rules[kind], channel.key) for kind in _KINDS]
+        if any(cells):
+            lines.append(f"| `{channel.name}` | `{key}` | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(rules: list[AllowedMessage], key: str) -> str:
+    """Return what the rules allow on a key of the table."""
+    actions = [
+        _ACTIONS[item.flow, item.message]
+        for item in rules
+        if (item.flow, item.message) in _ACTIONS and _matches(item.key, key)
+    ]
+    return ", ".join(dict.fromkeys(actions))
+
+
+def _matches(key: str, pattern: str) -> bool:
+    parts, wanted = key.split("/"), pattern.split("/")
+    return len(parts) == len(wanted) and all(
+        part == want or want.startswith("{") for part, want in zip(parts, wanted, strict=True)
+    )
 
 
 def _check(args: argparse.Namespace) -> int:

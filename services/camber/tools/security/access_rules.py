@@ -20,6 +20,7 @@ from camber.schemas.channels import CHANNELS, SENSORS, VEHICLE_SERVICES, Channel
 
 Kind = Literal["vehicle", "map_update", "consumer", "judge", "operator"]
 Flow = Literal["ingress", "egress"]
+Rule = dict[str, list[str]]
 FLEET = "fleet"
 """Vehicle name in the keys of cloud services."""
 INSIDE = ("tcp", "unixsock-stream")
@@ -173,13 +174,12 @@ def cloud_access_control(parties: Sequence[Party], routers: Sequence[str]) -> di
             if times > 1:
                 raise ValueError(f"{name}: stands for more than one party")
     kinds = {party.kind for party in parties}
-    control = _Control()
-    control.subject("routers", {"cert_common_names": list(routers)}, [_everything()])
+    subjects = {"routers": ({"cert_common_names": list(routers)}, [_everything()])}
     for party in parties:
-        subject = {"cert_common_names": [party.certificate]}
+        matches, rules = {"cert_common_names": [party.certificate]}, _rules(allowed_messages(party, kinds))
         # The kind as prefix keeps any common name from colliding with the id of another subject or rule.
-        control.subject(f"{party.kind} {party.certificate}", subject, _rules(allowed_messages(party, kinds)))
-    return control.config()
+        subjects[f"{party.kind} {party.certificate}"] = matches, rules
+    return _access_control(subjects)
 
 
 def vehicle_access_control(vehicle: str, kinds: Iterable[Kind]) -> dict[str, Any]:
@@ -187,41 +187,33 @@ def vehicle_access_control(vehicle: str, kinds: Iterable[Kind]) -> dict[str, Any
     opposite: dict[Flow, Flow] = {"ingress": "egress", "egress": "ingress"}
     party = Party(kind="vehicle", name=vehicle)
     mirror = [replace(item, flow=opposite[item.flow]) for item in allowed_messages(party, kinds)]
-    control = _Control()
-    control.subject("inside", {"link_protocols": list(INSIDE)}, [_everything()])
-    control.subject("cloud", {"link_protocols": list(OUTSIDE)}, _rules(mirror))
-    return control.config()
+    inside = {"link_protocols": list(INSIDE)}, [_everything()]
+    return _access_control({"inside": inside, "cloud": ({"link_protocols": list(OUTSIDE)}, _rules(mirror))})
 
 
-class _Control:
-    """Collects rules, subjects and policies under names that refer to one another."""
-
-    def __init__(self) -> None:
-        self._rules: list[dict[str, Any]] = []
-        self._subjects: list[dict[str, Any]] = []
-        self._policies: list[dict[str, Any]] = []
-
-    def subject(self, name: str, matches: dict[str, Any], rules: list[dict[str, Any]]) -> None:
-        ids = [f"{name} {number}" for number in range(1, len(rules) + 1)]
-        self._rules += [{"id": i, "permission": "allow", **rule} for i, rule in zip(ids, rules, strict=True)]
-        self._subjects.append({"id": name, **matches})
-        self._policies.append({"rules": ids, "subjects": [name]})
-
-    def config(self) -> dict[str, Any]:
-        return {
-            "enabled": True,
-            "default_permission": "deny",
-            "rules": self._rules,
-            "subjects": self._subjects,
-            "policies": self._policies,
-        }
+def _access_control(subjects: dict[str, tuple[dict[str, list[str]], list[Rule]]]) -> dict[str, Any]:
+    """Return the access control of subjects by id, each with what it matches and its own rules."""
+    rules = {
+        name: {f"{name} {k}": rule for k, rule in enumerate(of, 1)} for name, (_, of) in subjects.items()
+    }
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [
+            {"id": number, "permission": "allow", **rule}
+            for numbered in rules.values()
+            for number, rule in numbered.items()
+        ],
+        "subjects": [{"id": name, **matches} for name, (matches, _) in subjects.items()],
+        "policies": [{"rules": list(rules[name]), "subjects": [name]} for name in subjects],
+    }
 
 
-def _everything() -> dict[str, Any]:
+def _everything() -> Rule:
     return {"flows": ["ingress", "egress"], "messages": list(MESSAGES), "key_exprs": ["**"]}
 
 
-def _rules(items: Sequence[AllowedMessage]) -> list[dict[str, Any]]:
+def _rules(items: Sequence[AllowedMessage]) -> list[Rule]:
     """Return the smallest set of equivalent rules: message types with the same keys share one."""
     keys: dict[tuple[Flow, str], list[str]] = {}
     for item in items:

@@ -17,8 +17,7 @@ from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 from camber.tools.calibrate import command as tool
-from camber.tools.calibrate.calibration import calibrate_horizontal
-from camber.tools.calibrate.calibration_run import estimate_antenna_height, pair
+from camber.tools.calibrate.calibration import calibrate_horizontal, estimate_antenna_height, pair
 from camber.tools.calibrate.command import calibrate
 from support import judging
 from support.refusals import Refused

@@ -8,7 +8,6 @@ from camber.tools.calibrate.calibration import (
     FixPosePairs,
     HorizontalCalibration,
     calibrate_horizontal,
-    circular_variance,
     clusters_of,
 )
 
@@ -97,8 +96,3 @@ def test_of_too_few_pairs_or_of_too_short_a_time_nothing_is_estimated(seconds: f
 def test_stretches_are_of_ten_seconds() -> None:
     assert clusters_of(np.array([5, 14_999_999_999, 9_999_999_999], np.int64)).tolist() == [0, 1, 0]
     assert clusters_of(np.empty(0, np.int64)).tolist() == []
-
-
-def test_directions_that_are_one_have_no_spread_and_opposite_ones_all() -> None:
-    assert circular_variance(np.full(5, 2.0)) == pytest.approx(0.0)
-    assert circular_variance(np.array([0.0, np.pi])) == pytest.approx(1.0)

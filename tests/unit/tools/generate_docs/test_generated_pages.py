@@ -1,4 +1,4 @@
-"""Generated parts of the pages are written from the code, and a page that is not current is noticed."""
+"""Generated parts of the pages are written from the code, describe all of it, and are noticed where not current."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from camber.schemas.channels import CHANNELS
 from camber.tools.generate_docs.__main__ import DOCS, SECTIONS, main, text_of
+from camber.tools.generate_docs.data_flow import page as data_flow
+from camber.tools.generate_docs.data_flow import unit_of
+from support.messages import message_classes
 
 
 @pytest.fixture
@@ -44,3 +48,36 @@ def test_text_around_a_generated_section_stays(docs: Path) -> None:
     path = docs / "services/gnss.md"
     path.write_text("first\n" + path.read_text("utf-8") + "last\n", "utf-8")
     assert text_of(path, docs) == path.read_text("utf-8")
+
+
+def test_every_channel_has_a_row_with_its_key() -> None:
+    rows = [line for line in data_flow().splitlines() if line.startswith("|")]
+    for channel in CHANNELS:
+        assert sum(f"`{channel.key}`" in row for row in rows) == 1
+
+
+def test_every_message_is_described_once_with_all_its_fields() -> None:
+    text = data_flow()
+    for cls in message_classes():
+        _, section = text.split(f"### {cls.__name__}\n")
+        table = section.split("\n### ")[0]
+        for field in cls.model_fields:
+            assert table.count(f"| `{field}` |") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("height_m", "m"),
+        ("yaw_rate_rad_s", "rad/s"),
+        ("covariance_enu_m2", "m²"),
+        ("covariance_enu_m2_s2", "m²/s²"),
+        ("velocity_enu_m_s", "m/s"),
+        ("time_ns", "ns of GPS time"),
+        ("offset_ns", "ns"),
+        ("cn0_dbhz", "dB-Hz"),
+        ("status", ""),
+    ],
+)
+def test_a_unit_is_what_the_name_ends_in(name: str, unit: str) -> None:
+    assert unit_of(name) == unit

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 
 from camber import cli
 from camber.formats.drive.truth_csv import TruthTable, read_truth
-from camber.formats.errors import FormatError
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar
@@ -265,19 +264,10 @@ def test_options_reach_the_engine(solve: Solve) -> None:
     assert len(solutions) == 41
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        *(("--systems", systems) for systems in ("R", "", "JE")),
-        *(("--ratio", ratio) for ratio in ("nan", "0.5")),
-        ("--elevation-deg", "x"),
-    ],
-)
-def test_an_option_that_cannot_be_meant_is_refused(
-    drive: Path, more: tuple[str, str], refused: Refused
-) -> None:
-    line = refused(cli.main, "gnss", "solve", drive / "drive.toml", *more)
-    assert f"argument {more[0]}: '{more[1]}', expected" in line
+@pytest.mark.parametrize("systems", ["R", "", "JE"])
+def test_systems_that_cannot_be_meant_are_refused(drive: Path, systems: str, refused: Refused) -> None:
+    line = refused(cli.main, "gnss", "solve", drive / "drive.toml", "--systems", systems)
+    assert f"argument --systems: '{systems}', expected" in line
 
 
 @pytest.mark.parametrize(
@@ -286,6 +276,7 @@ def test_an_option_that_cannot_be_meant_is_refused(
         ("observations.rover_obs=absent.obs", "there is no such file"),
         ("observations.rover_obs=brdc.nav", "brdc.nav: observations, expected at least one epoch"),
         ("observations.base_obs=motion.csv", "motion.csv: content is"),
+        ('observations.ephemerides=["motion.csv"]', "motion.csv: content is"),
         ("observations.rover_obs=other.obs", "no epoch of the rover from start_s to end_s"),
         ("surrogates.nonsense=1", "is not known"),
     ],
@@ -314,12 +305,6 @@ def test_a_drive_without_raw_observations_is_refused(drive: Path, tmp_path: Path
     without = DriveManifest.model_construct(**{**manifest.__dict__, "observations": None})
     with pytest.raises(ManifestError, match="no table observations"):
         gnss_solve.solve(without, EngineSettings(), tmp_path)
-
-
-def test_ephemerides_that_are_none_are_refused(drive: Path) -> None:
-    (drive / "noise").write_bytes(np.random.default_rng(1).bytes(3000))
-    with pytest.raises(FormatError, match="noise: content is"):
-        raw(drive, 'observations.ephemerides=["noise"]')
 
 
 # the plot

@@ -17,22 +17,10 @@ from camber.schemas.base import Message
 from camber.schemas.codec import encode
 from camber.schemas.road import ElevationRequest, Layer, LinksRequest, Places, TileRequest
 from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
+from support.fake_bus import FakeBus
 from support.small_map import DAY_NS, FRAME, MADE_NS, at, link, surface, write
 
 NOW_NS = MADE_NS + DAY_NS
-
-
-class _Bus:
-    """What the service uses of the bus."""
-
-    def now_ns(self) -> int:
-        return NOW_NS
-
-    def issue(self, code: str, text: str) -> None:
-        raise AssertionError(f"{code}: {text}")
-
-    def count(self, name: str, n: int = 1) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +60,8 @@ def questions() -> list[tuple[str, Message]]:
 
 
 def test_every_answer_is_that_of_the_map_server(folder: Path) -> None:
-    service = MapServerService(MapServerSettings(release=folder), cast(Bus, _Bus()))
+    bus = FakeBus(NOW_NS)
+    service = MapServerService(MapServerSettings(release=folder), cast(Bus, bus))
     at_hand = LocalMapQueries(release_for(folder, "WGS84"))
     assert at_hand.is_available()
     output: set[str] = set()
@@ -83,6 +72,7 @@ def test_every_answer_is_that_of_the_map_server(folder: Path) -> None:
         road = getattr(mine, "road", None)
         output.add(road.status if road is not None else mine.status)
     assert output == {"known", "unknown"}
+    assert bus.issues == []
 
 
 def test_a_map_of_another_datum_is_refused(folder: Path) -> None:

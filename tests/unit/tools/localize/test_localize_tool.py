@@ -18,7 +18,7 @@ from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate
-from camber.tools.localize.command import LocalizeOptions, localize_drive
+from camber.tools.localize.command import localize_drive
 from camber.tools.localize.drive_anchors import receiver_fixes
 from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
@@ -32,7 +32,7 @@ STREET = (
     "lidar.beams=32",
     "lidar.traffic=0",
 )
-BLIND = LocalizeOptions(settings=("--no-match-sweeps",))
+BLIND = ("--no-match-sweeps",)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def matched(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """What the command has left of that street, and its output."""
     out = tmp_path_factory.mktemp("matched")
-    return out, localize_drive(load_manifest(street), out, LocalizeOptions(pictures_s=(1.5, 99.0)))
+    return out, localize_drive(load_manifest(street), out, pictures_s=(1.5, 99.0))
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -123,7 +123,7 @@ def test_the_plot_and_the_pictures_are_whole(matched: tuple[Path, str]) -> None:
 
 def test_the_same_drive_gives_the_same_bytes(street: Path, matched: tuple[Path, str], tmp_path: Path) -> None:
     out, _ = matched
-    localize_drive(load_manifest(street), tmp_path, LocalizeOptions(pictures_s=(1.5, 99.0)))
+    localize_drive(load_manifest(street), tmp_path, pictures_s=(1.5, 99.0))
     for path in out.glob("*.*"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
@@ -133,7 +133,7 @@ def test_a_sweep_that_cannot_be_read_costs_itself_and_a_line(street: Path, tmp_p
     shutil.copytree(street.parent, drive)
     broken = sorted((drive / "sweeps").glob("*.pcd"))[7]
     broken.write_bytes(broken.read_bytes()[:5000])
-    output = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out", LocalizeOptions())
+    output = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out")
     assert output.splitlines()[-1].startswith("1 sweep could not be read and left out, the first: ")
     assert broken.stem not in {row["time_ns"] for row in table(tmp_path / "out" / "matches.csv")}
 
@@ -150,7 +150,7 @@ def drive_of(inputs: DriveInputs, **inputs_of: object) -> LocalizedDrive:
 
 
 def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> None:
-    output = localize_drive(load_manifest(blind), tmp_path, BLIND)
+    output = localize_drive(load_manifest(blind), tmp_path, settings=BLIND)
     assert "601 dead reckoning (100.0%)" in output
     assert table(tmp_path / "matches.csv") == []
     assert not list(tmp_path.glob("match-*.svg"))
@@ -159,9 +159,7 @@ def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> N
 def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> None:
     for anchors in ("truth", "right-fixes"):
         out = tmp_path / anchors
-        output = localize_drive(
-            load_manifest(blind), out, LocalizeOptions(anchors=anchors, settings=BLIND.settings)
-        )  # type: ignore[arg-type]
+        output = localize_drive(load_manifest(blind), out, anchors=anchors, settings=BLIND)  # type: ignore[arg-type]
         assert f"Surrogate: anchors from {anchors}: an integrity judge without errors." in output
         poses = table(out / "poses.csv")
         error_m = np.hypot(column(poses, "error_along_m"), column(poses, "error_cross_m"))
@@ -171,7 +169,7 @@ def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> Non
 
 def test_without_a_given_pose_fixes_start_it_provisionally(blind: Path, tmp_path: Path) -> None:
     manifest = load_manifest(blind).model_copy(update={"initial_pose": None})
-    output = localize_drive(manifest, tmp_path, LocalizeOptions(fixes=True, settings=BLIND.settings))
+    output = localize_drive(manifest, tmp_path, fixes=True, settings=BLIND)
     assert "provisional (" in output
     poses = table(tmp_path / "poses.csv")
     assert poses[0]["mode"] == "none"

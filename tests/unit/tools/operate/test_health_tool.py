@@ -75,28 +75,22 @@ def test_json_is_the_whole_answer(endpoint: str, capsys: pytest.CaptureFixture[s
     assert (output["service"], output["status"], output["counters"]) == ("gnss", "degraded", {"fix.stale": 4})
 
 
-def test_a_service_that_is_not_on_the_bus_is_unhealthy(endpoint: str, capsys: Any) -> None:
-    assert ask(endpoint) == 1
-    assert "no answer: absent: gnss of v7" in capsys.readouterr().out
-
-
 def test_a_service_of_another_vehicle_does_not_answer_for_this_one(endpoint: str) -> None:
     with answering(endpoint, reports(a_health())):
         assert tool.main(["gnss", "--vehicle", "v8", "--connect", endpoint]) == 1
 
 
-def test_a_loop_that_hangs_is_unhealthy(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_an_answer_a_service_is_unhealthy(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     held: list[zenoh.Query] = []
+    assert ask(endpoint) == 1
     with answering(endpoint, held.append):
         assert ask(endpoint, "--timeout", "0.3") == 1
         held.clear()
-    assert "no answer: timeout" in capsys.readouterr().out
-
-
-def test_an_undecodable_answer_is_unhealthy(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     with answering(endpoint, replies(b"\x00 not a message")):
         assert ask(endpoint) == 1
-    assert "no answer: invalid" in capsys.readouterr().out
+    reasons = [line.split("no answer: ")[1] for line in capsys.readouterr().out.splitlines()]
+    assert reasons[0].startswith("absent: gnss of v7")
+    assert [reason.split(":")[0] for reason in reasons] == ["absent", "timeout", "invalid"]
 
 
 def test_a_refused_question_is_unhealthy(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -142,11 +136,7 @@ def test_the_line_has_the_most_frequent_issue_first() -> None:
 
 @pytest.mark.parametrize(
     "argv",
-    [
-        ["nosuch"],
-        [],
-        *(["gnss", *more] for more in (("--timeout", "0"), ("--config", "/no"), ("--vehicle", "a b"))),
-    ],
+    [["nosuch"], [], ["gnss", "--config", "/no"], ["gnss", "--vehicle", "a b"]],
 )
 def test_wrong_usage_is_one_line_and_code_2(argv: list[str], refused: Refused) -> None:
     assert refused(tool.main, *argv).startswith("camber health: ")

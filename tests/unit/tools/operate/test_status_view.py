@@ -12,8 +12,8 @@ from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.health import ChannelUse, Health, Issue
 from camber.tools.operate import status
-from camber.tools.operate.status_table import as_text, duration, fleet_text
-from camber.tools.operate.status_view import view_of
+from camber.tools.operate.status import as_text, duration, fleet_text
+from camber.tools.operate.status_view import StatusView, view_of
 from support.refusals import Refused
 
 NOW_NS = EARLIEST_NS + 10**18
@@ -28,6 +28,10 @@ def use(
     channel: str, direction: str, messages: int, age_s: float | None = 0.1, waiting: int = 0
 ) -> ChannelUse:
     return ChannelUse(channel=channel, direction=direction, messages=messages, age_s=age_s, waiting=waiting)
+
+
+def view(*reports: Health) -> StatusView:
+    return view_of("v", {report.service: [report] for report in reports}, {}, frozenset())
 
 
 @pytest.mark.parametrize(
@@ -45,13 +49,11 @@ def test_a_rate_is_the_difference_of_two_counts(
 def test_a_channel_s_row_joins_the_reports_of_all_that_use_it() -> None:
     localizer_channels = (use("fix", "in", 8, 4.1, waiting=1),)
     integrity_channels = (use("fix", "in", 8, 4.2, waiting=3),)
-    reports = [
+    (row,) = view(
         health("gnss", channels=(use("fix", "out", 9, age_s=4.0),)),
         health("localizer", channels=localizer_channels, counters={"fix.stale": 2, "anchor.a": 7}),
         health("integrity", channels=integrity_channels, counters={"fix.stale": 1, "fix.other": 5}),
-    ]
-    answers = {report.service: [report] for report in reports}
-    (row,) = view_of("v", answers, {}, frozenset()).channels
+    ).channels
     assert set(row.received_s_ago) == {"localizer", "integrity"}
     assert row.refused == {"stale": 3}
     assert (row.age_s, row.waiting) == (4.2, 3)
@@ -60,27 +62,21 @@ def test_a_channel_s_row_joins_the_reports_of_all_that_use_it() -> None:
 
 @pytest.mark.parametrize("age_s", [300.0, None], ids=["for long", "always"])
 def test_a_service_that_receives_nothing_on_a_channel_in_use_is_named(age_s: float | None) -> None:
-    answers = {
-        "gnss": [health("gnss", channels=(use("fix", "out", 9, age_s=0.05),))],
-        "localizer": [health("localizer", channels=(use("fix", "in", 8, 0.05),))],
-        "integrity": [health("integrity", channels=(use("fix", "in", 0, age_s),))],
-    }
-    view = view_of("v", answers, {}, frozenset())
-    (row,) = view.channels
-    assert row.late
-    assert row.deaf == ["integrity"]
+    shown = view(
+        health("gnss", channels=(use("fix", "out", 9, age_s=0.05),)),
+        health("localizer", channels=(use("fix", "in", 8, 0.05),)),
+        health("integrity", channels=(use("fix", "in", 0, age_s),)),
+    )
+    (row,) = shown.channels
+    assert (row.late, row.deaf, shown.exit_code) == (True, ["integrity"], 4)
     assert (row.age_s or 0.0) >= 100.0
-    assert view.exit_code == 4
-    assert "integrity has had no fix for" in " ".join(view.notes)
+    assert "integrity has had no fix for" in " ".join(shown.notes)
 
 
 def test_a_channel_without_messages_is_not_late() -> None:
-    answers = {
-        "gnss": [health("gnss", channels=(use("motion", "in", 0, None),))],
-        "integrity": [health("integrity", channels=(use("motion", "in", 0, None),))],
-    }
-    view = view_of("v", answers, {}, frozenset())
-    assert (view.channels[0].late, view.channels[0].deaf, view.exit_code) == (False, [], 0)
+    silent = (use("motion", "in", 0, None),)
+    shown = view(health("gnss", channels=silent), health("integrity", channels=silent))
+    assert (shown.channels[0].late, shown.channels[0].deaf, shown.exit_code) == (False, [], 0)
 
 
 @pytest.mark.parametrize(
@@ -95,11 +91,11 @@ def test_a_channel_without_messages_is_not_late() -> None:
     ],
 )
 def test_a_service_without_an_answer_is_not_answering(reason: Any, alive: bool, expected: str) -> None:
-    view = view_of("v", {"gnss": [QueryFailed(reason, reason)]}, {}, frozenset({"gnss"} if alive else ()))
-    (row,) = view.services
-    assert row.state == "not answering"
+    answers = {"gnss": [QueryFailed(reason, reason)]}
+    shown = view_of("v", answers, {}, frozenset({"gnss"} if alive else ()))
+    (row,) = shown.services
+    assert (row.state, shown.exit_code) == ("not answering", 1)
     assert expected in row.why
-    assert view.exit_code == 1
 
 
 @pytest.mark.parametrize(
@@ -107,23 +103,20 @@ def test_a_service_without_an_answer_is_not_answering(reason: Any, alive: bool, 
     [(["ok", "ok"], 0), (["ok", "degraded"], 4), (["starting", "ok"], 4), (["degraded", "failing"], 1)],
 )
 def test_the_exit_code_is_that_of_the_worst(states: list[str], code: int) -> None:
-    answers = {f"s{n}": [health(f"s{n}", status=state)] for n, state in enumerate(states)}
-    assert view_of("v", answers, {}, frozenset()).exit_code == code
+    assert view(*(health(f"s{n}", status=state) for n, state in enumerate(states))).exit_code == code
 
 
 def test_one_hanging_worker_among_several_is_seen() -> None:
     answers = {"map_update": [health("map_update"), QueryFailed("timeout")]}
-    view = view_of("fleet", answers, {}, frozenset({"map_update"}))
-    assert [row.state for row in view.services] == ["ok", "not answering"]
-    assert view.exit_code == 1
+    shown = view_of("fleet", answers, {}, frozenset({"map_update"}))
+    assert [row.state for row in shown.services] == ["ok", "not answering"]
+    assert shown.exit_code == 1
 
 
 def test_services_of_different_versions_are_noted() -> None:
-    answers = {
-        "gnss": [health("gnss", facts={"messages": "aaaa"})],
-        "integrity": [health("integrity", version="0.2.0", facts={"messages": "bbbb"}, log_level="debug")],
-    }
-    notes = " ".join(view_of("v", answers, {}, frozenset()).notes)
+    newer = {"version": "0.2.0", "facts": {"messages": "bbbb"}, "log_level": "debug"}
+    shown = view(health("gnss", facts={"messages": "aaaa"}), health("integrity", **newer))
+    notes = " ".join(shown.notes)
     assert "0.1.0, 0.2.0" in notes
     assert "aaaa, bbbb" in notes
     assert "integrity logs at debug" in notes
@@ -141,7 +134,7 @@ def test_the_table_shows_the_last_issue_and_its_age() -> None:
         facts={"map_release": "here 7"},
         channels=(use("fix", "out", 7, age_s=None), use("motion", "in", 7, waiting=2)),
     )
-    text = as_text(view_of("v", {"gnss": [output]}, {}, frozenset()), NOW_NS)
+    text = as_text(view(output), NOW_NS)
     assert "source_lost ×3, 12 s ago: tcp:receiver: refused" in text
     line = next(line for line in text.splitlines() if line.startswith("gnss"))
     assert line.split()[1:8] == ["ok", "100", "s", "0.1.0", "85", "MB", "12"]

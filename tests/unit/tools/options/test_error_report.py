@@ -39,6 +39,9 @@ def test_every_failure_has_a_line_and_a_code(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("camber replay: ")
     assert not line.endswith("None")
+    assert line.endswith(f"see {tmp_path / 'logs'}") == (code == 1)
+    assert report_failures("camber feed", tmp_path, work, bus_code=3) == (3 if code == 1 else code)
+    assert "logs" not in capsys.readouterr().err
 
 
 def test_a_programming_error_is_raised(tmp_path: Path) -> None:
@@ -49,5 +52,9 @@ def test_a_programming_error_is_raised(tmp_path: Path) -> None:
         report_failures("camber replay", tmp_path, work)
 
 
-def test_success_keeps_its_code(tmp_path: Path) -> None:
+def test_success_keeps_its_code_and_a_text_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert report_failures("camber replay", tmp_path, lambda: 7) == 7
+    assert report_failures("camber replay", tmp_path, lambda: "done") == 0
+    assert capsys.readouterr() == ("done\n", "")

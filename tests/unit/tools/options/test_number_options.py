@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 import camber
+from camber import cli
 from camber.tools.options.number_options import each_of, number_from, whole_from
+from support.refusals import Refused
 
 
 def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -63,6 +65,39 @@ def test_several_numbers_keep_their_order() -> None:
         "--place", nargs=2, action=each_of(number_from(-90.0, 90.0), number_from(-180.0, 180.0))
     )
     assert parser.parse_args(["--place", "-35.5", "179"]).place == (-35.5, 179.0)
+
+
+SECONDS = "a number from 0.001 to 3600 s"
+
+
+@pytest.mark.parametrize(
+    ("command", "bounds", "numbers"),
+    [
+        ("access check vehicle.json5 --timeout-s", SECONDS, "nan inf -1"),
+        ("doctor . --seconds", SECONDS, "nan inf -1 0"),
+        ("gnss solve drive.toml --elevation-deg", "a number from 0 to 89", "x"),
+        ("gnss solve drive.toml --ratio", "a number from 1 to 1000", "nan 0.5"),
+        ("health gnss --timeout", "a number from 0.001 to 60 s", "0"),
+        ("log_level gnss debug --timeout", SECONDS, "nan inf -1"),
+        ("map export map --to geotiff --out tif --cell-m", "a number from 0.01 to 10000 m", "0.001"),
+        ("map picture map --out map.png --pixels", "a whole number from 16 to 20000", "1"),
+        ("play x.mcap --speed", "a number from 0.001 to 1000", "nan 1e-300"),
+        ("play x.mcap --timeout", SECONDS, "nan inf 0"),
+        ("record --out x --duration", "a number from 0.001 to 1e+08", "nan inf -1 x"),
+        ("record --out x --keep-mb", "a number from 1 to 1e+08", "nan inf -1 x"),
+        ("record --out x --leave-mb", "a number from 0 to 1e+08", "nan inf -1 x"),
+        ("record --out x --max-mb", "a number from 1 to 1e+08", "nan inf -1 x 0"),
+        ("record --out x --max-minutes", "a number from 0.001 to 1e+08", "nan inf -1 x"),
+        ("record --out x --timeout", SECONDS, "nan inf -1 x"),
+    ],
+)
+def test_an_option_of_a_tool_has_its_bounds(
+    command: str, bounds: str, numbers: str, refused: Refused
+) -> None:
+    *arguments, option = command.split()
+    for number in numbers.split():
+        line = refused(cli.main, *arguments, f"{option}={number}")
+        assert line.endswith(f"argument {option}: {number!r}, expected {bounds}")
 
 
 def test_no_option_of_a_tool_takes_a_number_without_bounds() -> None:

@@ -28,6 +28,7 @@ from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.record import feed
 from camber.tools.record.feed import Epoch, epochs_of, passes, reversed_drive
+from support.fake_bus import FakeBus
 from support.gnss_files import read_pos
 from support.refusals import Refused
 
@@ -49,30 +50,27 @@ def motions(epochs: Any) -> list[Motion]:
     return [message for epoch in epochs for _, message in epoch.samples if isinstance(message, Motion)]
 
 
-class FakeBus:
-    """A clock that stands until somebody waits; keeps what is published, and when."""
+class FedBus(FakeBus):
+    """Keeps what is published, and when."""
 
-    def __init__(self, now_ns: int) -> None:
-        self.now = now_ns
+    def __init__(self) -> None:
+        super().__init__(_START_NS)
         self.sent: list[tuple[int, str, Message]] = []
 
-    def now_ns(self) -> int:
-        return self.now
-
     def publish(self, name: str, message: Message) -> None:
-        self.sent.append((self.now, name, message))
+        self.sent.append((self.time_ns, name, message))
 
 
 class FakeStop(threading.Event):
     """Waiting moves the bus's clock; `sleeps` are waits from which the machine wakes later."""
 
-    def __init__(self, bus: FakeBus, sleeps: dict[int, float] | None = None) -> None:
+    def __init__(self, bus: FedBus, sleeps: dict[int, float] | None = None) -> None:
         super().__init__()
         self.bus, self.sleeps, self.waits = bus, sleeps or {}, 0
 
     def wait(self, timeout: float | None = None) -> bool:
         assert timeout is not None
-        self.bus.now += math.ceil((timeout + self.sleeps.get(self.waits, 0.0)) * _NS)
+        self.bus.time_ns += math.ceil((timeout + self.sleeps.get(self.waits, 0.0)) * _NS)
         self.waits += 1
         return self.is_set()
 
@@ -127,9 +125,9 @@ def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: t
     assert [next(drive_passes) for _ in range(4)] == [epochs, back, epochs, back]
 
 
-def fed(epochs: Sequence[Epoch], sleeps: dict[int, float] | None = None) -> tuple[FakeBus, tuple[int, int]]:
+def fed(epochs: Sequence[Epoch], sleeps: dict[int, float] | None = None) -> tuple[FedBus, tuple[int, int]]:
     """The bus of a pass, and what the pass returned."""
-    bus = FakeBus(_START_NS)
+    bus = FedBus()
     stop = FakeStop(bus, sleeps)
     ended = feed.feed_pass(epochs, bus, stop, start_ns=_START_NS, reader=SweepReader())  # type: ignore[arg-type]
     return bus, ended
@@ -166,14 +164,14 @@ def test_after_a_machine_slept_for_long_the_drive_goes_on_from_where_it_was(
 
 
 def test_passes_that_a_machine_was_late_for_are_reported(epochs: tuple[Epoch, ...], capsys) -> None:
-    bus = FakeBus(_START_NS)
+    bus = FedBus()
     feed.feed_passes(iter([epochs[:50]]), bus, FakeStop(bus, {20: 3.05}), drive="drive")  # type: ignore[arg-type]
     expected = "camber feed: this machine was too slow: 13 of 50 epochs were not published"
     assert expected in capsys.readouterr().err
 
 
 def test_it_stops_on_request(epochs: tuple[Epoch, ...]) -> None:
-    bus = FakeBus(_START_NS)
+    bus = FedBus()
     stop = FakeStop(bus)
     stop.set()
     feed.feed_passes(passes(epochs, loop=True), bus, stop, drive="drive")  # type: ignore[arg-type]
@@ -218,7 +216,7 @@ def swept(drive: Path, tmp_path: Path) -> tuple[Epoch, ...]:
     return epochs_of(prepare_drive(load_manifest(tmp_path / "drive.toml"), tmp_path))[:50]
 
 
-def sweeps_of(bus: FakeBus) -> list[tuple[int, Sweep]]:
+def sweeps_of(bus: FedBus) -> list[tuple[int, Sweep]]:
     return [(at, message) for at, _, message in bus.sent if isinstance(message, Sweep)]
 
 
@@ -247,7 +245,7 @@ def test_a_damaged_sweep_costs_itself_and_one_line(
 ) -> None:
     damaged = next(epoch for epoch in swept if epoch.sweeps).sweeps[0].file.path
     damaged.write_bytes(damaged.read_bytes()[:-1])
-    bus = FakeBus(_START_NS)
+    bus = FedBus()
     feed.feed_passes(passes(swept, loop=False), bus, FakeStop(bus), drive="drive")  # type: ignore[arg-type]
     assert len(sweeps_of(bus)) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "sweep" in line]
@@ -300,7 +298,7 @@ def test_a_router_that_is_not_there_is_asked_for_in_peace(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[float] = []
-    bus = FakeBus(0)
+    bus = FedBus()
     stop = FakeStop(bus)
 
     def nobody(_: object, *, timeout_s: float) -> None:
@@ -311,5 +309,5 @@ def test_a_router_that_is_not_there_is_asked_for_in_peace(
 
     monkeypatch.setattr(feed, "open_session", nobody)
     assert feed.join_bus(ServiceSettings(), stop, "camber feed") is None
-    assert bus.now >= 19 * _NS // 2, "at most two a second, however quickly they fail"
+    assert bus.time_ns - _START_NS >= 19 * _NS // 2, "at most two a second, however quickly they fail"
     assert capsys.readouterr().err.count("; waiting\n") == 1

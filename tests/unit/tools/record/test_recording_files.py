@@ -6,6 +6,7 @@ import shutil
 from collections import namedtuple
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,17 @@ def motions(first: int, count: int) -> list[RawSample]:
     ]
 
 
+def recorded(
+    folder: Path, batches: int, count: int, *, every_s: float = 1.0, **limits: Any
+) -> RecordingFiles:
+    """The files of so many batches of `count` messages each."""
+    files = RecordingFiles(folder, "car", RecordingLimits(free_bytes=0, **limits))
+    for n in range(batches):
+        files.write(motions(count * n, count), now_s=100.0 + every_s * n)
+    files.close()
+    return files
+
+
 def sequences(path: Path) -> list[int]:
     items = list(read_recording(path))
     assert all(isinstance(item, Recorded) for item in items), items
@@ -45,20 +57,14 @@ def sequences(path: Path) -> list[int]:
 
 
 def test_a_file_ends_when_it_is_long_enough_and_nothing_is_lost_between(tmp_path: Path) -> None:
-    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=10.0, free_bytes=0))
-    for n in range(5):
-        files.write(motions(10 * n, 10), now_s=100.0 + 4.0 * n)
-    files.close()
+    files = recorded(tmp_path, 5, 10, every_s=4.0, file_s=10.0)
     assert [sequences(path) for path in files.files] == [list(range(30)), list(range(30, 50))]
     assert files.written == 50
     assert files.files[0].name == "car-20231114T221320Z-000.mcap"
 
 
 def test_a_file_ends_when_it_is_large_enough(tmp_path: Path) -> None:
-    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_bytes=100_000, free_bytes=0))
-    for n in range(40):
-        files.write(motions(1000 * n, 1000), now_s=float(n))
-    files.close()
+    files = recorded(tmp_path, 40, 1000, file_bytes=100_000)
     assert len(files.files) > 2
     assert [n for path in files.files for n in sequences(path)] == list(range(40_000))
     assert all(path.stat().st_size < 1_500_000 for path in files.files)
@@ -67,10 +73,7 @@ def test_a_file_ends_when_it_is_large_enough(tmp_path: Path) -> None:
 def test_the_oldest_go_also_those_of_earlier_runs_and_never_of_others(tmp_path: Path) -> None:
     (tmp_path / "car-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
     (tmp_path / "bus-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
-    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=1.0, kept_bytes=20_000, free_bytes=0))
-    for n in range(30):
-        files.write(motions(100 * n, 100), now_s=2.0 * n)
-    files.close()
+    files = recorded(tmp_path, 30, 100, every_s=2.0, file_s=1.0, kept_bytes=20_000)
     left = sorted(path.name for path in tmp_path.iterdir())
     assert "bus-20200101T000000Z-000.mcap" in left
     assert "car-20200101T000000Z-000.mcap" not in left
@@ -82,19 +85,14 @@ def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Pa
     others = {"car-2-20200101T000000Z-000.mcap", "car-notes.mcap"}
     for name in others:
         (tmp_path / name).write_bytes(b"x" * 500_000)
-    files = RecordingFiles(tmp_path, "car", RecordingLimits(kept_bytes=20_000, free_bytes=0))
-    files.write(motions(0, 10), now_s=0.0)
-    files.close()
+    files = recorded(tmp_path, 1, 10, kept_bytes=20_000)
     assert {path.name for path in tmp_path.iterdir()} == {files.files[0].name, *others}
 
 
 def test_an_old_file_that_cannot_be_deleted_hinders_nothing(tmp_path: Path) -> None:
     stuck = tmp_path / "car-20200101T000000Z-000.mcap"
     stuck.mkdir()  # unlink says no, also to root
-    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=1.0, kept_bytes=1, free_bytes=0))
-    for n in range(3):
-        files.write(motions(10 * n, 10), now_s=2.0 * n)
-    files.close()
+    files = recorded(tmp_path, 3, 10, every_s=2.0, file_s=1.0, kept_bytes=1)
     assert (files.written, files.problem) == (30, None)
     assert sorted(tmp_path.iterdir()) == [stuck, files.files[-1]]
 
@@ -106,9 +104,7 @@ def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_p
         second.write(motions(5 + 10 * n, 10), now_s=float(n))
     first.close()
     second.close()
-    later = RecordingFiles(tmp_path, "car", OPEN)
-    later.write(motions(0, 5), now_s=9.0)
-    later.close()
+    later = recorded(tmp_path, 1, 5)
     names = [path.name[-8:] for files in (first, second, later) for path in files.files]
     assert names == ["000.mcap", "001.mcap", "002.mcap"]
     assert sequences(first.files[0]) == list(range(30))
@@ -191,21 +187,12 @@ def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: 
         chosen(names, without, sweeps=False)
 
 
-@pytest.mark.parametrize(
-    "option", ["--duration", "--max-mb", "--max-minutes", "--keep-mb", "--leave-mb", "--timeout"]
-)
-@pytest.mark.parametrize("number", ["nan", "inf", "-1", "x"])
-def test_a_number_that_is_none_is_refused(tmp_path: Path, option: str, number: str, refused: Refused) -> None:
-    assert f"argument {option}: " in refused(main, "--out", tmp_path, f"{option}={number}")
-
-
 def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
     tmp_path: Path, refused: Refused
 ) -> None:
     (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
     line = refused(main, "--out", tmp_path, "--keep-mb", "1500")
     assert line == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
-    assert "argument --max-mb" in refused(main, "--out", tmp_path, "--max-mb", "0")
     assert len(list(tmp_path.iterdir())) == 1
 
 

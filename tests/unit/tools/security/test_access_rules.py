@@ -23,7 +23,6 @@ from camber.tools.security.access_rules import (
     open_channels,
     vehicle_access_control,
 )
-from camber.tools.security.access_table import table_text
 from support.refusals import Refused
 from support.tree import ROOT
 
@@ -173,7 +172,7 @@ def test_a_file_of_deploy_is_what_its_command_makes(path: Path, tmp_path: Path) 
 
 def test_the_table_of_the_page_is_that_of_the_rules() -> None:
     page = (ROOT / "docs/security.md").read_text()
-    assert table_text() in page, "put the output of `camber access table` into docs/security.md"
+    assert access.table_text() in page, "put the output of `camber access table` into docs/security.md"
 
 
 @pytest.mark.parametrize("name", ["fleet", "car/1", "*", "car-1+2", ""])
@@ -181,19 +180,28 @@ def test_a_name_that_would_be_something_else_in_a_key_is_refused(name: str, refu
     refused(access.main, "vehicle", name, "--connect", "tls/c:1")
 
 
-@pytest.mark.parametrize("endpoint", ["tcp/c:1", "unixsock-stream//c", "ws/c:1"])
-def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, refused: Refused) -> None:
-    # Over anything else the cloud would be a service within.
-    line = refused(access.main, "vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint)
-    assert f"--connect {endpoint}: expected tls/" in line
-
-
-@pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/0.0.0.0:7447"])
-def test_within_a_vehicle_nobody_is_taken_for_the_cloud(endpoint: str, refused: Refused) -> None:
+@pytest.mark.parametrize(
+    ("option", "expected", "endpoint"),
+    [
+        # Over anything else the cloud would be a service within.
+        *(
+            ("--connect", "tls/… or quic/…", endpoint)
+            for endpoint in ("tcp/c:1", "unixsock-stream//c", "ws/c:1")
+        ),
+        # Over these a service within would be the cloud.
+        *(
+            ("--listen", "tcp/… or unixsock-stream/…", f"{name}/0.0.0.0:7447")
+            for name in ("tls", "quic", "ws")
+        ),
+    ],
+)
+def test_the_cloud_is_joined_over_tls_alone_and_nobody_within_is_taken_for_it(
+    option: str, expected: str, endpoint: str, refused: Refused
+) -> None:
     arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
     assert access.main(arguments) == 0
-    line = refused(access.main, *arguments, "--listen", endpoint)
-    assert line == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…"
+    line = refused(access.main, *arguments, option, endpoint)
+    assert line == f"camber access: {option} {endpoint}: expected {expected}"
 
 
 def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: Path) -> None:
@@ -214,8 +222,3 @@ def test_where_a_file_cannot_be_written_nothing_is_left(tmp_path: Path, refused:
     (tmp_path / "folder").mkdir()
     refused(access.main, "vehicle", "car-1", "--connect", "tls/c:1", "--out", tmp_path / "folder")
     assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
-
-
-@pytest.mark.parametrize("number", ["nan", "inf", "-1"])
-def test_an_echo_is_waited_for_so_long_and_no_longer(number: str, refused: Refused) -> None:
-    assert "--timeout-s" in refused(access.main, "check", "vehicle.json5", f"--timeout-s={number}")

@@ -44,23 +44,20 @@ _REACH_M = 4.0  # chosen: as the default of --reach-m in `survey_drive`
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only clouds need."""
-    text = ".las, .laz, .pcd, .ply; or folders of them"
-    parser.add_argument("files", type=Path, nargs="+", metavar="CLOUD", help=text)
+    add = parser.add_argument
+    add("files", type=Path, nargs="+", metavar="CLOUD", help=".las, .laz, .pcd, .ply; or folders of them")
     text = "where the vehicle went: a truth.csv, or rows of 12 numbers, 3 × 4 from the poses' frame to --origin's"
-    parser.add_argument("--poses", type=Path, required=True, metavar="FILE", help=text)
+    add("--poses", type=Path, required=True, metavar="FILE", help=text)
     above_m = number_from(0.0, 20.0, "m")
-    parser.add_argument(
-        "--above-road-m", type=above_m, required=True, metavar="H", help="of what the poses are of"
-    )
-    text = "each cloud is a sweep in the sensor's own frame"
-    parser.add_argument("--sweeps", action="store_true", help=text)
+    add("--above-road-m", type=above_m, required=True, metavar="H", help="of what the poses are of")
+    add("--sweeps", action="store_true", help="each cloud is a sweep in the sensor's own frame")
     bounds = each_of(*[number_from(-50.0, 50.0, "m")] * 3, *[number_from(-360.0, 360.0, "°")] * 3)
     names = ("X", "Y", "Z", "ROLL", "PITCH", "YAW")
     text = "with --sweeps: where the sensor is in the poses' frame, metres and degrees (default: at it)"
-    parser.add_argument("--sensor", nargs=6, action=bounds, default=(0.0,) * 6, metavar=names, help=text)
+    add("--sensor", nargs=6, action=bounds, default=(0.0,) * 6, metavar=names, help=text)
     place = each_of(LATITUDE, LONGITUDE, HEIGHT)
     text = "degrees, metres above the ellipsoid: of clouds and poses that name no reference system"
-    parser.add_argument("--origin", nargs=3, action=place, metavar=("LAT", "LON", "H"), help=text)
+    add("--origin", nargs=3, action=place, metavar=("LAT", "LON", "H"), help=text)
     for name, default, (least, most), text in (
         ("--width-m", 6.0, (1.0, 40.0), "of the road"),
         ("--spacing-m", 0.5, (0.1, 5.0), "of heights"),

@@ -136,13 +136,15 @@ class GroundHeights:
 
         NaN where fewer than four of the cells have points, or all of them to one side.
         """
+        if not len(self.key):
+            return np.full(len(places_m), np.nan), np.full(len(places_m), np.nan)
         cell = np.floor(places_m / self.cell_m).astype(np.int64)
         keys = np.stack([_keys(cell + shift, level) for shift in _AROUND], axis=1)
-        row = np.minimum(np.searchsorted(self.key, keys), max(len(self.key) - 1, 0))
-        there = self.key[row] == keys if len(self.key) else np.zeros(keys.shape, bool)
+        row = np.minimum(np.searchsorted(self.key, keys), len(self.key) - 1)
+        there = self.key[row] == keys
         # However many points a cell has, it is one place: more than some say nothing new.
-        weight = np.where(there, np.minimum(self.count[row], 10.0), 0.0) if len(self.key) else 0.0 * keys
-        mean = self.mean_m[row] if len(self.key) else np.zeros((*keys.shape, 3))
+        weight = np.where(there, np.minimum(self.count[row], 10.0), 0.0)
+        mean = self.mean_m[row]
         off = (mean[..., :2] - places_m[:, None, :]) / self.cell_m
         total = np.maximum(weight.sum(axis=1), 1e-9)
         columns = np.concatenate((np.ones((*keys.shape, 1)), off), axis=2)
@@ -151,8 +153,7 @@ class GroundHeights:
         right = np.einsum("mk,mki,mk->mi", weight, columns, mean[..., 2] - base[:, None])
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
         left = mean[..., 2] - base[:, None] - np.einsum("mki,mi->mk", columns, solved)
-        variance = self.variance_m2[row] if len(self.key) else 0.0 * keys
-        sigma = np.sqrt(np.einsum("mk,mk->m", weight, left**2 + variance) / total)
+        sigma = np.sqrt(np.einsum("mk,mk->m", weight, left**2 + self.variance_m2[row]) / total)
         mean_off = np.einsum("mk,mki->mi", weight, off) / total[:, None]
         one_sided = np.abs(mean_off).max(axis=1, initial=0.0) > 0.75
         known = (there.sum(axis=1) >= _LEAST_CELLS) & ~one_sided

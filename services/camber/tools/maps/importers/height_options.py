@@ -20,19 +20,18 @@ from camber.tools.options.parsers import add_with_default
 
 def add_height_arguments(parser: argparse.ArgumentParser) -> None:
     """The vertical datum, or an undulation that the user answers for; and σ of the heights."""
-    heights = parser.add_argument_group("heights of the input")
+    add = parser.add_argument_group("heights of the input").add_argument
     text = (
         "above what they are: ellipsoidal, or a vertical CRS as PROJ knows it (EPSG:7837, 'EGM2008 height')"
     )
-    heights.add_argument("--vertical-datum", metavar="NAME", help=text)
+    add("--vertical-datum", metavar="NAME", help=text)
     text = "instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map"
     bounds = number_from(-MAX_UNDULATION_M, MAX_UNDULATION_M, "m")
-    heights.add_argument("--geoid-undulation-m", type=bounds, metavar="N", help=text)
-    text = "its σ, which goes into that of the map"
-    heights.add_argument("--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help=text)
-    heights.add_argument("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
+    add("--geoid-undulation-m", type=bounds, metavar="N", help=text)
+    add("--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help="its σ, which goes into that of the map")
+    add("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
     text = "σ of the heights of roads in the input"
-    heights.add_argument("--sigma-m", type=HEIGHT_SIGMA, required=True, metavar="S", help=text)
+    add("--sigma-m", type=HEIGHT_SIGMA, required=True, metavar="S", help=text)
 
 
 def add_link_sigma(parser: argparse.ArgumentParser) -> None:

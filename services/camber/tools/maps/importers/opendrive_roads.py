@@ -168,7 +168,6 @@ def _nodes(drive: OpenDrive) -> dict[End, str]:
 def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
     roads = {road.identity: road for road in drive.roads}
     for road in drive.roads:
-        last = len(road.sections) - 1
         for number, section in enumerate(road.sections):
             for lane in section.lanes:
                 start, end = _ends(road, number, lane.lane_id)
@@ -176,7 +175,7 @@ def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
                     yield start, _ends(road, number - 1, lane.predecessor)[1]
                 elif lane.predecessor is not None:
                     yield from _to_road(start, road.predecessor, lane.predecessor, roads)
-                if lane.successor is not None and number < last:
+                if lane.successor is not None and number < len(road.sections) - 1:
                     yield end, _ends(road, number + 1, lane.successor)[0]
                 elif lane.successor is not None:
                     yield from _to_road(end, road.successor, lane.successor, roads)

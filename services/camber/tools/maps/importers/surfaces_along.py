@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,27 +63,13 @@ def surfaces_along(
     pieces = [piece for row in range(len(links)) for piece in _pieces(roads, row, spacing_m)]
     at_nodes = _sample_ground(ground, pieces, [piece.nodes() for piece in pieces])
     between = _sample_ground(ground, pieces, [piece.between() for piece in pieces])
-    parts = [
-        part
+    rows = [
+        row | {"vehicles": vehicles, "last_seen_ns": seen_ns}
         for piece, (height_m, sigma_m), (between_m, _) in zip(pieces, at_nodes, between, strict=True)
-        for part in _known_parts(piece, height_m, sigma_m, between_m)
+        for row in _known_parts(piece, links, height_m=height_m, sigma_m=sigma_m, between_m=between_m)
     ]
-    row = np.array([part.piece.row for part in parts], np.int64)
-    place = np.array([part.place() for part in parts]).reshape(-1, 3)
-    return RoadSurfaces(
-        surface_id=np.array([part.surface_id(links) for part in parts], np.int64),
-        link_id=links.link_id[row],
-        level=links.level[row],
-        latitude_rad=place[:, 0],
-        longitude_rad=place[:, 1],
-        yaw_rad=place[:, 2],
-        half_length_m=np.array([part.half_length_m for part in parts]),
-        half_width_m=np.array([part.half_width_m for part in parts]),
-        sigma_m=np.array([part.sigma_m for part in parts]),
-        vehicles=np.full(len(parts), vehicles),
-        last_seen_ns=np.full(len(parts), seen_ns),
-        heights_m=[part.heights_m for part in parts],
-    )
+    columns: dict[str, Any] = {each.name: [row[each.name] for row in rows] for each in fields(RoadSurfaces)}
+    return RoadSurfaces(**columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -120,6 +107,17 @@ class _RoadPiece:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         points: Floats = self.centre_m + np.column_stack((c * u - s * v, s * u + c * v))
         return points
+
+    def place(self, along_m: float, across_m: float) -> tuple[float, float, float]:
+        """Latitude and longitude of a point, and the rectangle's yaw against east there [rad]."""
+        point = self.points(np.array([along_m]), np.array([across_m]))
+        latitude, longitude, _ = self.frame.geodetic_from_east_north_array(point, 0.0)
+        step = (longitude[0] - self.frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
+        return (
+            float(latitude[0]),
+            float(longitude[0]),
+            self.yaw_rad - step * math.sin(self.frame.latitude_rad),
+        )
 
 
 def _pieces(roads: RoadCentreLines, row: int, spacing_m: float) -> Iterator[_RoadPiece]:
@@ -196,37 +194,10 @@ def _sample_ground(
     return list(zip(np.split(height_m, cuts), np.split(sigma_m, cuts), strict=True))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _KnownPatch:
-    """The part of a piece where the ground is known; `centre_m` along and across within the piece."""
-
-    piece: _RoadPiece
-    centre_m: tuple[float, float]
-    half_length_m: float
-    half_width_m: float
-    heights_m: Floats
-    sigma_m: float
-
-    def place(self) -> tuple[float, float, float]:
-        """Latitude and longitude of its centre, and its yaw against east there [rad]."""
-        frame, along, across = self.piece.frame, *(np.array([value]) for value in self.centre_m)
-        latitude, longitude, _ = frame.geodetic_from_east_north_array(self.piece.points(along, across), 0.0)
-        step = (longitude[0] - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
-        yaw_rad = self.piece.yaw_rad - step * math.sin(frame.latitude_rad)
-        return float(latitude[0]), float(longitude[0]), yaw_rad
-
-    def surface_id(self, links: RoadLinks) -> int:
-        """The same for the same part of the same line, whatever its height is."""
-        line = quantized_degrees(links.vertices[self.piece.row])
-        begin_m = self.centre_m[0] - self.half_length_m - float(self.piece.along_m[0])
-        link_id = int(links.link_id[self.piece.row])
-        place = (link_id, line, self.piece.number, int(begin_m + 1e-6))
-        return named_id("surface", *place)
-
-
 def _known_parts(
-    piece: _RoadPiece, height_m: Floats, sigma_m: Floats, between_m: Floats
-) -> Iterator[_KnownPatch]:
+    piece: _RoadPiece, links: RoadLinks, *, height_m: Floats, sigma_m: Floats, between_m: Floats
+) -> Iterator[dict[str, Any]]:
+    """Rows of RoadSurfaces where the ground is known. An id is that of a part of a line, whatever its height is."""
     n, m = len(piece.along_m), len(piece.across_m)
     height_m, sigma_m = height_m.reshape(n, m), sigma_m.reshape(n, m)
     u, v = piece.shares()[0][:, None], piece.shares()[1]
@@ -234,20 +205,30 @@ def _known_parts(
     bilinear_m += u * ((1.0 - v) * height_m[1:, :-1] + v * height_m[1:, 1:])
     off_m2 = (between_m.reshape(n - 1, m - 1) - bilinear_m) ** 2
     known = np.isfinite(height_m) & np.isfinite(sigma_m) & ~_walls(piece, height_m)
+    link_id, line = int(links.link_id[piece.row]), quantized_degrees(links.vertices[piece.row])
     for first, last, left, right in _known_blocks(piece, known):
         along_m, across_m = piece.along_m[first:last], piece.across_m[left:right]
         off = off_m2[first : last - 1, left : right - 1]
         off = off[np.isfinite(off)]
         roughness_m2 = float(np.mean(off)) if len(off) else 0.0
         inner = slice(first, last), slice(left, right)
-        yield _KnownPatch(
-            piece=piece,
-            centre_m=(0.5 * float(along_m[0] + along_m[-1]), 0.5 * float(across_m[0] + across_m[-1])),
-            half_length_m=0.5 * float(along_m[-1] - along_m[0]),
-            half_width_m=0.5 * float(across_m[-1] - across_m[0]),
-            heights_m=height_m[inner].copy(),
-            sigma_m=math.sqrt(float(np.mean(sigma_m[inner] ** 2)) + roughness_m2),
-        )
+        centre_m = 0.5 * float(along_m[0] + along_m[-1]), 0.5 * float(across_m[0] + across_m[-1])
+        half_length_m = 0.5 * float(along_m[-1] - along_m[0])
+        begin_m = centre_m[0] - half_length_m - float(piece.along_m[0])
+        latitude_rad, longitude_rad, yaw_rad = piece.place(*centre_m)
+        place = (link_id, line, piece.number, int(begin_m + 1e-6))
+        yield {
+            "surface_id": named_id("surface", *place),
+            "link_id": link_id,
+            "level": int(links.level[piece.row]),
+            "latitude_rad": latitude_rad,
+            "longitude_rad": longitude_rad,
+            "yaw_rad": yaw_rad,
+            "half_length_m": half_length_m,
+            "half_width_m": 0.5 * float(across_m[-1] - across_m[0]),
+            "sigma_m": math.sqrt(float(np.mean(sigma_m[inner] ** 2)) + roughness_m2),
+            "heights_m": height_m[inner].copy(),
+        }
 
 
 def _walls(piece: _RoadPiece, height_m: Floats) -> Mask:

@@ -8,30 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.cli import main
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.argoverse import Floats, LaneSegment, read_log
 from camber.road_map.release import read_release
-from camber.schemas.road import ElevationRequest
-from camber.tools.localize.local_map_queries import LocalMapQueries
 from camber.tools.maps.importers.argoverse import CityFrame, _nodes, centre_line
+from support.built_maps import build_map, elevation_map
 from support.refusals import Refused
 
 NAMES = ("7fab2350", "3bffdcff")
-BUILD = ("--region", "PIT", "--datum", "WGS84", "--epoch-year", "2020.5")
 WITHIN_M = 0.015
 POSES_APART = 20  # of 200 in a second; all of them give the same figures to 2 mm
 
 
 def elevations(folder: Path, city: str, places_m: Floats) -> Floats:
     """Of the road under places (n, 3), as map_server answers, surface after surface."""
-    asked = LocalMapQueries(read_release(folder))
+    asked = elevation_map(read_release(folder))
     latitude, longitude = CityFrame.of_city(city).to_geodetic(places_m[:, 0], places_m[:, 1])
     result, last = np.full(len(places_m), np.nan), None
     for k, (lat, lon) in enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True)):
-        road = asked.elevation(
-            ElevationRequest(time_ns=10**18, latitude_rad=lat, longitude_rad=lon, last_surface_id=last)
-        ).road
+        road = asked.road(lat, lon, last_surface_id=last)
         if road.elevation_m is not None:
             result[k], last = road.elevation_m, road.surface_id
     return result
@@ -40,7 +35,7 @@ def elevations(folder: Path, city: str, places_m: Floats) -> Floats:
 @pytest.mark.parametrize("name", NAMES)
 def test_under_each_pose_the_map_says_what_the_raster_says(data: Path, tmp_path: Path, name: str) -> None:
     folder = data / "av2" / name
-    assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(folder)]) == 0
+    assert build_map("argoverse", tmp_path / "map", folder) == 0
     log = read_log(folder)
     places_m = log.city_from_egovehicle[::POSES_APART, :3, 3]
     height_m = elevations(tmp_path / "map", log.city, places_m)
@@ -85,16 +80,15 @@ def test_a_log_whose_files_are_damaged_is_one_clear_line(
 ) -> None:
     copy = tmp_path / "log"
     shutil.copytree(data / "av2" / "3bffdcff", copy, copy_function=shutil.copyfile)
-    arguments = ("map", "build", "argoverse", "--out", tmp_path / "map", *BUILD, copy)
     files = ("city_SE3_egovehicle.feather", "*_ground_height_surface____PIT.npy", "*Sim2_city.json")
     for name in (*files, "log_map_*.json"):
         (path,) = copy.rglob(name)
         whole = path.read_bytes()
         for length in (5, len(whole) // 2):
             path.write_bytes(whole[:length])
-            refused(main, *arguments)
+            refused(lambda _: build_map("argoverse", tmp_path / "map", copy))
         path.unlink()
-        refused(main, *arguments)
+        refused(lambda _: build_map("argoverse", tmp_path / "map", copy))
         path.write_bytes(whole)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.cli import main
 from camber.formats.drive.truth_csv import TruthTable, write_truth
 from camber.formats.map_exchange.pcd import PointCloud, write_pcd
 from camber.geodesy.local_frame import LocalFrame
@@ -18,6 +17,7 @@ from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadSurfaces
 from camber.tools.maps.importers.surfaces_along import Floats
+from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
 
@@ -28,8 +28,7 @@ FRAME = LocalFrame(math.radians(ORIGIN[0]), math.radians(ORIGIN[1]), ORIGIN[2])
 START_NS = 1_400_000_000 * 10**9
 ABOVE_M = 1.7
 SEED = 17
-COMMON = ("--region", "t", "--datum", "WGS84", "--epoch-year", "2024.0", "--sigma-m", "0.01")
-LOCAL = ("--origin", *(str(value) for value in ORIGIN))
+LOCAL = ("--origin", *ORIGIN)
 
 
 def road(x: Any, y: Any) -> Any:
@@ -67,11 +66,10 @@ def poses() -> TruthTable:
     return TruthTable(time_ns=time_ns, **place, **turn, velocity_enu_m_s=np.zeros((n, 3)))
 
 
-def build(folder: Path, *clouds: Path, more: tuple[str, ...] = LOCAL) -> int:
+def build(folder: Path, *clouds: Path, more: tuple[object, ...] = LOCAL) -> int:
     write_truth(folder / "truth.csv", poses())
-    options = ("--poses", str(folder / "truth.csv"), "--above-road-m", str(ABOVE_M), "--width-m", "6")
-    names = tuple(str(cloud) for cloud in clouds)
-    return main(["map", "build", "clouds", *names, "--out", str(folder / "map"), *COMMON, *options, *more])
+    options = ("--poses", folder / "truth.csv", "--above-road-m", ABOVE_M, "--width-m", 6, "--sigma-m", 0.01)
+    return build_map("clouds", folder / "map", *clouds, *options, *more)
 
 
 def at(surfaces: RoadSurfaces, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,19 +11,20 @@ import pytest
 
 from camber.cli import main
 from camber.formats.map_exchange.pcd import read_pcd
-from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.cloud_tiles import cloud_tiles
-from camber.road_map.release import Release, read_release, write_release
+from camber.road_map.release import Release, read_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.schemas.road import CloudTile
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
+from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
+from support.small_map import FRAME, link, links, write
 
-FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 NOW_NS = 1_400_000_000 * 10**9
-BUILD = ("--region", "test", "--datum", "WGS84", "--epoch-year", "2024.0")
 BRIDGE_M = 6.0
+LINES_M = (((-60.0, 0.0), (60.0, 8.0)), ((5.0, -40.0), (5.0, 40.0)))
+"""From where to where the road goes, and the bridge over it."""
 
 
 def hill(east_m: Floats, north_m: Floats) -> Floats:
@@ -34,31 +34,20 @@ def hill(east_m: Floats, north_m: Floats) -> Floats:
 
 def road_and_bridge() -> tuple[RoadSurfaces, RoadLinks]:
     """A road to the east, another over it to the north."""
-    lines = (np.array([[-60.0, 0.0], [60.0, 8.0]]), np.array([[5.0, -40.0], [5.0, 40.0]]))
-    vertices = [np.column_stack(FRAME.geodetic_from_east_north_array(line, 0.0)[:2]) for line in lines]
-    links = RoadLinks(
-        link_id=np.array([3, 5]),
-        start_node=np.array([1, 3]),
-        end_node=np.array([2, 4]),
-        level=np.array([0, 1]),
-        sigma_m=np.array([0.5, 0.25]),
-        vertices=vertices,
-    )
+    road, bridge = (link(3 + 2 * k, (1 + 2 * k, 2 + 2 * k), LINES_M[k], level=k) for k in (0, 1))
+    road_links = links([road, bridge | {"sigma_m": 0.25}])
 
     def ground(latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:
         plane = FRAME.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
         return hill(*plane.T) + BRIDGE_M * row, np.full(len(row), 0.03)
 
-    roads = RoadCentreLines(links, np.array([2.0, 2.0]))
-    return surfaces_along(roads, ground, spacing_m=1.0, seen_ns=NOW_NS - 10**9, vehicles=4), links
+    roads = RoadCentreLines(road_links, np.array([2.0, 2.0]))
+    return surfaces_along(roads, ground, spacing_m=1.0, seen_ns=NOW_NS - 10**9, vehicles=4), road_links
 
 
 def written(folder: Path, clouds: Sequence[CloudTile] = ()) -> Path:
-    surfaces, links = road_and_bridge()
-    write_release(
-        folder, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
-        surfaces=surfaces, links=links, clouds=clouds,
-    )  # fmt: skip
+    surfaces, road_links = road_and_bridge()
+    write(folder, [], time_ns=NOW_NS, surfaces=surfaces, links=road_links, clouds=clouds)
     return folder
 
 
@@ -81,9 +70,7 @@ def exported(release: Path, to: str, out: Path, *more: str) -> Path:
 
 def along(level: int) -> Floats:
     """Places (n, 2) along the middle of a road, not at its very ends."""
-    share = np.linspace(0.02, 0.98, 200)[:, None]
-    a, b = ((-60.0, 0.0), (60.0, 8.0)) if level == 0 else ((5.0, -40.0), (5.0, 40.0))
-    return np.array(a) + share * (np.array(b) - np.array(a))
+    return np.linspace(*LINES_M[level], 204)[2:-2]
 
 
 def heights(map_release: Release, places_m: Floats, level: int) -> Floats:
@@ -94,7 +81,7 @@ def heights(map_release: Release, places_m: Floats, level: int) -> Floats:
 
 def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Path, tmp_path: Path) -> None:
     path = exported(release, "geojson", tmp_path / "map.geojson")
-    assert main(["map", "build", "geojson", "--out", str(tmp_path / "again"), *BUILD, str(path)]) == 0
+    assert build_map("geojson", tmp_path / "again", path) == 0
     before, after = read_release(release), read_release(tmp_path / "again")
     for layer in ("surfaces", "links"):
         assert before.tiles(layer) == after.tiles(layer)
@@ -127,9 +114,9 @@ def test_a_geotiff_of_each_level_comes_back_within_a_millimetre(release: Path, t
     assert sorted(path.name for path in folder.iterdir()) == ["level_0.tif", "level_1.tif"]
     for level in (0, 1):
         out = tmp_path / f"again{level}"
-        command = ["map", "build", "geotiff", "--out", str(out), *BUILD, str(folder / f"level_{level}.tif")]
-        options = ["--roads", str(release), "--width-m", "3", "--sigma-m", "0.03", "--spacing-m", "0.5"]
-        assert main([*command, *options, "--level", str(level)]) == 0
+        options = ("--roads", release, "--width-m", 3, "--sigma-m", 0.03, "--spacing-m", 0.5)
+        tif = folder / f"level_{level}.tif"
+        assert build_map("geotiff", out, tif, *options, "--level", level) == 0
         again = read_release(out)
         assert set(again.road_surfaces().link_id.tolist()) == {3 if level == 0 else 5}
         assert len(again.road_links()) == 2
@@ -173,10 +160,3 @@ def test_what_cannot_be_exported_is_one_clear_line(tmp_path: Path, refused: Refu
     bare = written(tmp_path / "bare")
     for folder, options in ((bare, ("--to", "pcd")), (tmp_path / "none", ("--to", "geojson"))):
         refused(main, "map", "export", folder, "--out", tmp_path / "x", *options)
-
-
-def test_a_cell_without_size_is_refused(release: Path, tmp_path: Path, refused: Refused) -> None:
-    options = ("--out", tmp_path / "x", "--to", "geotiff", "--cell-m", "0.001")
-    line = refused(main, "map", "export", release, *options)
-    assert "--cell-m: '0.001', expected a number from 0.01 to 10000 m" in line
-    assert not (tmp_path / "x").exists()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.cli import main
 from camber.road_map.release import read_release
 from camber.tools.maps.importers.rasters import quiet_rasterio
+from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
 
@@ -60,12 +60,9 @@ def line(path: Path, *, level: int = 0) -> Path:
     return path
 
 
-def build(raster: Path, roads: Path, *more: str, datum: str = "WGS84") -> int:
-    out = raster.parent / "map"
-    common = ("--out", str(out), "--region", "t", "--datum", datum, "--epoch-year", "2024.0")
-    return main(
-        ["map", "build", "geotiff", *common, "--roads", str(roads), "--sigma-m", "0.02", *more, str(raster)]
-    )
+def build(raster: Path, roads: Path, *more: str) -> int:
+    options = ("--roads", roads, "--sigma-m", "0.02", *more)
+    return build_map("geotiff", raster.parent / "map", *options, raster)
 
 
 def errors(folder: Path) -> tuple[Any, Any, Any]:

@@ -6,29 +6,21 @@ import numpy as np
 import pytest
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from support.nearest_surface import nearest_heights
+from support.small_map import link, links
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 SEEN_NS = 1_400_000_000 * 10**9
 
 
-def roads(*lines_m: Floats, half_width_m: float = 2.0, link_id: int = 7) -> RoadCentreLines:
-    vertices = [
-        np.column_stack(FRAME.geodetic_from_east_north_array(np.asarray(line), 0.0)[:2]) for line in lines_m
-    ]
-    n = len(vertices)
-    links = RoadLinks(
-        link_id=np.arange(n) + link_id,
-        start_node=np.arange(n) * 2,
-        end_node=np.arange(n) * 2 + 1,
-        level=np.zeros(n, np.int64),
-        sigma_m=np.zeros(n),
-        vertices=vertices,
-    )
-    return RoadCentreLines(links, np.full(n, half_width_m))
+def roads(*lines_m: Floats, half_width_m: float = 2.0) -> RoadCentreLines:
+    places = (FRAME.geodetic_from_east_north_array(line, 0.0)[:2] for line in lines_m)
+    vertices = [{"vertices": np.column_stack(place)} for place in places]
+    rows = [link(k, (2 * k, 2 * k + 1), []) | line for k, line in enumerate(vertices)]
+    return RoadCentreLines(links(rows), np.full(len(rows), half_width_m))
 
 
 def hill(east_m: Floats, north_m: Floats) -> Floats:

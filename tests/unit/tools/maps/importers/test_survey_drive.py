@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.cli import main
 from camber.formats.drive.recording import Recorder
 from camber.formats.drive.truth_csv import TruthTable, write_truth
 from camber.formats.map_exchange.argoverse import read_log
@@ -21,13 +20,13 @@ from camber.schemas.integrity import Verdict
 from camber.tools.maps.importers.argoverse import CityFrame
 from camber.tools.maps.importers.surfaces_along import Floats, surfaces_along
 from camber.tools.maps.importers.survey_drive import RoadTrack, drive_roads
+from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 START_NS = 1_400_000_000 * 10**9
 ANTENNA_M = 1.8
-BUILD = ("--region", "t", "--datum", "WGS84", "--epoch-year", "2024.0")
 
 
 def heights(surfaces: RoadSurfaces, latitude: Floats, longitude: Floats, level: int | None = None) -> Floats:
@@ -81,7 +80,7 @@ def drive(*, over: bool = False) -> TruthTable:
 
 
 def build(path: Path, *more: str) -> int:
-    return main(["map", "build", "drive", "--out", str(path.parent / "map"), *BUILD, *more, str(path)])
+    return build_map("drive", path.parent / "map", *more, path)
 
 
 def test_a_drive_over_its_earlier_road_makes_two_levels_and_none_without_positions(

@@ -1,8 +1,11 @@
-"""Tables of parameters: every setting of a service with its default, range and meaning."""
+"""Tables of services: every setting with its default, range and meaning, and every issue of `issues.toml`."""
 
 from __future__ import annotations
 
+import functools
 import importlib
+import tomllib
+from importlib.resources import files
 from typing import Any
 
 from pydantic import BaseModel
@@ -10,6 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from camber.runtime.settings import ServiceSettings
 
+_HEAD = ("| code | means | meanwhile | check and do |", "|---|---|---|---|")
 _BOUNDS = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
 
 
@@ -42,3 +46,19 @@ def _default(value: Any) -> str:
 def _bounds(metadata: list[Any]) -> str:
     bounds = ((text, getattr(item, name, None)) for item in metadata for name, text in _BOUNDS.items())
     return " ".join(f"{text} {bound:g}" for text, bound in bounds if bound is not None).replace("-", "−")
+
+
+@functools.cache
+def issues_by_service() -> dict[str, dict[str, dict[str, str]]]:
+    """Return service (`any_service`: every one) → issue code → `means`, `meanwhile` and `remedy`."""
+    return tomllib.loads(files("camber.runtime.health").joinpath("issues.toml").read_text("utf-8"))
+
+
+def runbook_rows(service: str) -> str:
+    """Return the Markdown table of a service's issues."""
+    rows = []
+    for code, row in issues_by_service()[service].items():
+        name = f"`{code}`" if code.isidentifier() else code
+        meanwhile = f" {row['meanwhile']}" if row["meanwhile"] else ""
+        rows.append(f"| {name} | {row['means']} |{meanwhile} | {row['remedy']} |")
+    return "\n".join([*_HEAD, *rows])
