@@ -21,7 +21,7 @@ from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import read_release
 from camber.schemas.base import Message
 from camber.schemas.pose import Pose, Road, ScanMatch
-from camber.simulator.faults.schedule import Fault
+from camber.simulator.faults import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Path, Trajectory
@@ -29,8 +29,13 @@ from camber.simulator.simulated_drive import SENSORS, lay_out
 from camber.simulator.vehicle.body import CAR, VehicleBody
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
-from camber.simulator.vehicle.sensors import Surface, read_sensors
+from camber.simulator.vehicle.sensors import (
+    Surface,
+    motion_messages,
+    ranging_messages,
+    read_sensors,
+    suspension_messages,
+)
 from camber.simulator.world.district import District
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 from camber.tools.localize.local_map_queries import LocalMapQueries
@@ -195,9 +200,7 @@ def _poses(scenario: Scenario, district: District, t: Trajectory) -> list[Pose]:
     off_m, off_rad = rng.normal(0.0, _POSE_SIGMA_M, 2), float(rng.normal(0.0, _YAW_SIGMA_RAD))
     with tempfile.TemporaryDirectory() as folder:
         before_ns = scenario.start_ns - SURVEYED_BEFORE_NS
-        write_survey(
-            FilePath(folder) / "map", district, before_ns, SurveyErrors(clouds=False), seed=scenario.seed
-        )
+        write_survey(FilePath(folder) / "map", district, before_ns, SurveyErrors(clouds=False))
         release = read_release(FilePath(folder) / "map")
         roads = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
         return [_pose(roads, district, t, k, off_m, off_rad) for k in _rows(t)]

@@ -30,7 +30,7 @@ from camber.road_map.release import Release, read_release
 from camber.schemas.drive import InitialPose
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion, Ranging, Suspension
-from camber.simulator.faults.schedule import Fault
+from camber.simulator.faults import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory
@@ -41,12 +41,12 @@ from camber.simulator.vehicle.body import CAR, VehicleBody
 from camber.simulator.vehicle.lidar import SimulatedLidar
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.vehicle.sensor_messages import (
+from camber.simulator.vehicle.sensors import (
     motion_messages,
     ranging_messages,
+    read_sensors,
     suspension_messages,
 )
-from camber.simulator.vehicle.sensors import read_sensors
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
 from camber.simulator.world.district import NAGOYA_RAD, District
 from camber.simulator.world.layouts import Layout, Route

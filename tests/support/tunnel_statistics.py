@@ -31,15 +31,14 @@ from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadL
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadLinks
 from camber.schemas.motion import Motion
-from camber.simulator.faults.schedule import WheelSlip
+from camber.simulator.faults import WheelSlip
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory
 from camber.simulator.simulated_drive import SENSORS, district_of
 from camber.simulator.vehicle.body import CAR
 from camber.simulator.vehicle.motion import drive
-from camber.simulator.vehicle.sensor_messages import motion_messages
-from camber.simulator.vehicle.sensors import read_sensors
+from camber.simulator.vehicle.sensors import motion_messages, read_sensors
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
 Floats = NDArray[np.float64]

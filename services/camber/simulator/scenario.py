@@ -15,12 +15,12 @@ from pydantic_core import PydanticCustomError
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.toml_file import FileError, Overrides, load_toml
-from camber.simulator.faults.schedule import Fault, refused_sum
+from camber.simulator.faults import Fault, refused_sum
 from camber.simulator.world.district import KINDS, Kind
 
 _FOLDER = Path(__file__).parent / "scenarios"
 
-Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class ScenarioError(FileError):
@@ -38,12 +38,8 @@ class DistrictPlace(Model):
     """The district."""
 
     kind: Kind = Field(description="one of " + ", ".join(KINDS))
-    latitude_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = Field(
-        default=35.17, description="of the district's origin"
-    )
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = Field(
-        default=136.88, description="the same"
-    )
+    latitude_deg: float = Field(default=35.17, ge=-80.0, le=80.0, description="of the district's origin")
+    longitude_deg: float = Field(default=136.88, ge=-180.0, le=180.0, description="the same")
     heading_deg: Annotated[float, Field(ge=0.0, lt=360.0)] | None = Field(
         default=None, description="of the street, clockwise from north; where there is one street only"
     )
@@ -54,7 +50,7 @@ class DistrictPlace(Model):
         default="default",
         description="path through the district; rounds: in a city, for nine minutes and more",
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+    seed: Seed | None = Field(
         default=None,
         description="seed of the district and its survey, so that other drives see the same; else the scenario's",
     )
@@ -70,7 +66,7 @@ class Lidar(Model):
     """The surround sensor."""
 
     beams: Literal[32, 64] = Field(default=64, description="32 or 64")
-    traffic: Annotated[int, Field(ge=0, le=100)] = Field(default=6, description="moving vehicles around")
+    traffic: int = Field(default=6, ge=0, le=100, description="moving vehicles around")
     packets: Literal["velodyne", "ouster"] | None = Field(
         default=None,
         description="velodyne (an HDL-32E) or ouster (an OS1-64) in place of beams, with its packets and a CAN bus",
@@ -80,12 +76,12 @@ class Lidar(Model):
 class Satellites(Model):
     """What the sky and the receiver give."""
 
-    systems: Annotated[str, Field(pattern="^[GJEC]+$")] = Field(
-        default="GJEC", description="letters of GPS, QZSS (J), Galileo (E), BeiDou (C)"
+    systems: str = Field(
+        default="GJEC", pattern="^[GJEC]+$", description="letters of GPS, QZSS (J), Galileo (E), BeiDou (C)"
     )
     rate_hz: Literal[1, 2, 5, 10] = Field(default=10, description="epochs a second: 1, 2, 5 or 10")
-    base_distance_m: Annotated[float, Field(ge=100.0, le=20_000.0)] = Field(
-        default=3_000.0, description="of the base station, to the north-east"
+    base_distance_m: float = Field(
+        default=3_000.0, ge=100.0, le=20_000.0, description="of the base station, to the north-east"
     )
     streams: bool = Field(default=True, description="RTCM and UBX streams with the RINEX files")
 
@@ -93,21 +89,15 @@ class Satellites(Model):
 class Fleet(Model):
     """Many vehicles over one district, by what they would upload."""
 
-    vehicles: Annotated[int, Field(ge=1, le=100_000)] = Field(default=100, description="how many")
-    drives_each: Annotated[int, Field(ge=1, le=1_000)] = Field(
-        default=3, description="drives of each of them"
+    vehicles: int = Field(default=100, ge=1, le=100_000, description="how many")
+    drives_each: int = Field(default=3, ge=1, le=1_000, description="drives of each of them")
+    rate_hz: float = Field(default=5.0, gt=0.0, le=10.0, description="records a second of driving")
+    attackers: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="share of vehicles that upload a made-up height"
     )
-    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
-        default=5.0, description="records a second of driving"
-    )
-    attackers: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
-        default=0.0, description="share of vehicles that upload a made-up height"
-    )
-    days: Annotated[int, Field(ge=1, le=1_000)] = Field(
-        default=3, description="over how many days the drives are spread"
-    )
-    wrong_drives: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
-        default=0.0, description="share of drives of which every fix is wrong"
+    days: int = Field(default=3, ge=1, le=1_000, description="over how many days the drives are spread")
+    wrong_drives: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="share of drives of which every fix is wrong"
     )
 
 
@@ -116,12 +106,12 @@ class Scenario(Model):
 
     name: Name = Field(description="name: letters, digits and _ . : @ + -")
     description: Text = Field(default="", description="for people")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="seed of all that is random")
+    seed: Seed = Field(default=1, description="seed of all that is random")
     start: Annotated[datetime, AfterValidator(_without_zone)] = Field(
         default=datetime(2026, 3, 20, 1, 30),
         description="GPS time of the first epoch, such as 2026-03-20T01:30:00",
     )
-    duration_s: Seconds = Field(default=120.0, description="of driving")
+    duration_s: float = Field(default=120.0, gt=0.0, le=86_400.0, description="of driving")
     vehicle: Literal["car", "robot"] = Field(default="car", description="car or robot")
     place: DistrictPlace = Field(description="table with the district")
     satellites: Satellites = Field(default=Satellites(), description="table of what is received")

@@ -17,8 +17,17 @@ from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import schedule
-from camber.simulator.faults.schedule import Fault, of_kind
+from camber.simulator.faults import (
+    ChangedRoad,
+    Fault,
+    MissingEpochs,
+    RepeatedEpochs,
+    TimeJump,
+    WrongBase,
+    WrongMap,
+    of_kind,
+    until,
+)
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
@@ -108,7 +117,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     every_system = true_ephemerides(int(epoch_ns[0]), int(epoch_ns[-1]), seed)
     true = [e for e in every_system if chr(e.satellite >> 8) in sky.systems]
     surroundings = Surroundings(ShapeTracer(what_blocks(shapes)), district.walls())
-    lasting = schedule.until(faults, scenario.duration_s)
+    lasting = until(faults, scenario.duration_s)
     rover = simulate_signals(
         track, frame, true, ROVER, seed=seed, receiver="rover", surroundings=surroundings, faults=lasting
     )
@@ -130,7 +139,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     if not any(one.solution is not None for one in outputs):
         raise ScenarioError(f"{scenario.name}: the receiver has no solution, expected one at some epoch")
     fixed = solutions.quality == int(SolutionQuality.FIX)
-    for missing in of_kind(faults, schedule.MissingEpochs):
+    for missing in of_kind(faults, MissingEpochs):
         fixed &= ~missing.acts(time_s)
     return SimulatedDrive(
         scenario=scenario,
@@ -150,7 +159,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         broadcast=tuple(broadcast_ephemerides(true, seed)),
         fixed=fixed,
         fix_wrong=fixed & (np.linalg.norm(solutions.error_m + base_offset_m, axis=1) > WRONG_M),
-        map_offset_m=offsets_by_link(of_kind(faults, schedule.WrongMap), trajectory),
+        map_offset_m=offsets_by_link(of_kind(faults, WrongMap), trajectory),
     )
 
 
@@ -180,15 +189,13 @@ def lay_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Traj
         return district, path, trajectory
 
     district, path, trajectory = laid_out(None)
-    changing = of_kind(scenario.faults, schedule.ChangedRoad)
+    changing = of_kind(scenario.faults, ChangedRoad)
     if changing:
         return laid_out(district.changed_roads | offsets_by_link(changing, trajectory))
     return district, path, trajectory
 
 
-def offsets_by_link(
-    faults: Sequence[schedule.ChangedRoad | schedule.WrongMap], trajectory: Trajectory
-) -> dict[int, float]:
+def offsets_by_link(faults: Sequence[ChangedRoad | WrongMap], trajectory: Trajectory) -> dict[int, float]:
     """By the links that are driven while a fault acts: a link is changed as a whole."""
     time_s = (trajectory.time_ns - trajectory.time_ns[0]) / NS_PER_SECOND
     return {
@@ -206,7 +213,7 @@ def _base_place(trajectory: Trajectory, distance_m: float) -> tuple[float, float
 
 def _base_offset(faults: tuple[Fault, ...], time_s: Floats) -> Floats:
     offset_m = np.zeros((len(time_s), 3))
-    for fault in of_kind(faults, schedule.WrongBase):
+    for fault in of_kind(faults, WrongBase):
         offset_m[fault.acts(time_s)] += (fault.east_m, fault.north_m, fault.up_m)
     return offset_m
 
@@ -230,11 +237,11 @@ def _outputs(
     time_s = (epoch_ns - epoch_ns[0]) / NS_PER_SECOND
     rover = {epoch.time_ns: epoch for epoch in observed}
     jump_ns, times = np.zeros(len(epoch_ns), np.int64), np.ones(len(epoch_ns), np.int64)
-    for jump in of_kind(faults, schedule.TimeJump):
+    for jump in of_kind(faults, TimeJump):
         jump_ns[jump.acts(time_s)] += round(jump.offset_s * NS_PER_SECOND)
-    for repeated in of_kind(faults, schedule.RepeatedEpochs):
+    for repeated in of_kind(faults, RepeatedEpochs):
         times[repeated.acts(time_s)] = 2
-    for missing in of_kind(faults, schedule.MissingEpochs):
+    for missing in of_kind(faults, MissingEpochs):
         times[missing.acts(time_s)] = 0
     outputs: list[ReceiverOutput] = []
     for at_ns, by_ns, count in zip(epoch_ns.tolist(), jump_ns.tolist(), times.tolist(), strict=True):

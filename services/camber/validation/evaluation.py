@@ -23,7 +23,7 @@ from camber.validation.fix_statistics import (
     is_evaluable,
 )
 from camber.validation.judged_fixes import CONFIRMED_VERDICTS, JudgedFix, pair_fixes_with_verdicts
-from camber.validation.localization_summary import LocalizerRecord
+from camber.validation.localization_columns import LocalizerRecord
 from camber.validation.protection import (
     Positions,
     availability,

@@ -88,8 +88,7 @@ def positions_by_epoch(
     messages = [last[time_ns] for time_ns in sorted(last)]
 
     def column(name: str) -> Float64:
-        values = (getattr(message, name) for message in messages)
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+        return np.array([getattr(message, name) for message in messages], np.float64)
 
     time_ns = np.array([message.time_ns for message in messages], dtype=np.int64)
     columns = {name: column(name) for name in _COLUMNS}

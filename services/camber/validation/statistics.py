@@ -14,6 +14,8 @@ import numpy as np
 
 from camber.schemas.base import Float64
 
+CONFIDENCE = 0.95
+"""Of intervals and bounds; chosen: as is usual."""
 DRAWS = 2000
 """Of the bootstrap; chosen: the 2.5 % quantile then rests on 50 draws."""
 _TINY = 1e-300
@@ -26,10 +28,8 @@ def share_of(hits: Float64, trials: Float64) -> float | None:
     return float(hits.sum()) / total if total else None
 
 
-def share_interval(
-    hits: Float64, trials: Float64, *, seed: int, level: float = 0.95, draws: int = DRAWS
-) -> tuple[float, float] | None:
-    """Bootstrap interval of the share of `hits` among `trials`, given by block (b,); None without a trial.
+def share_interval(hits: Float64, trials: Float64, *, seed: int) -> tuple[float, float] | None:
+    """Bootstrap interval (95 %) of the share of `hits` among `trials`, given by block (b,); None without a trial.
 
     With a single block, or with hits only, it has no width: then 3/n bounds the rate of failures.
     """
@@ -37,14 +37,14 @@ def share_interval(
     hits, trials = hits[counted], trials[counted]
     if not len(trials):
         return None
-    chosen = np.random.default_rng(seed).integers(0, len(trials), (draws, len(trials)))
+    chosen = np.random.default_rng(seed).integers(0, len(trials), (DRAWS, len(trials)))
     shares = hits[chosen].sum(axis=1) / trials[chosen].sum(axis=1)
-    low, high = np.quantile(shares, (0.5 * (1.0 - level), 0.5 * (1.0 + level)))
+    low, high = np.quantile(shares, (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)))
     return float(low), float(high)
 
 
-def clopper_pearson(events: float, trials: float, confidence: float = 0.95) -> tuple[float, float]:
-    """One-sided lower and upper bound of a probability, each at this confidence; numbers need not be integers.
+def clopper_pearson(events: float, trials: float) -> tuple[float, float]:
+    """One-sided lower and upper bound of a probability, each of 95 %; numbers need not be integers.
 
     Raises ValueError where there are more events than trials, or either is negative.
     """
@@ -52,9 +52,8 @@ def clopper_pearson(events: float, trials: float, confidence: float = 0.95) -> t
         raise ValueError(f"{events} events of {trials} trials")
     if trials == 0.0:
         return 0.0, 1.0
-    beyond = 1.0 - confidence
-    low = 0.0 if events == 0.0 else _beta_quantile(beyond, events, trials - events + 1.0)
-    high = 1.0 if events == trials else _beta_quantile(confidence, events + 1.0, trials - events)
+    low = 0.0 if events == 0.0 else _beta_quantile(1.0 - CONFIDENCE, events, trials - events + 1.0)
+    high = 1.0 if events == trials else _beta_quantile(CONFIDENCE, events + 1.0, trials - events)
     return low, high
 
 

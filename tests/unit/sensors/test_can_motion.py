@@ -14,8 +14,7 @@ from camber.sensors.can_motion import CanMotion, CanSettings, SignalError, Signa
 from camber.sensors.inputs import gps_ns
 from camber.simulator.output.can_frames import DBC, INVALID, STEERING_RATIO, can_frames
 from camber.simulator.vehicle.sensor_clock import Readings
-from camber.simulator.vehicle.sensor_messages import motion_messages
-from camber.simulator.vehicle.sensors import VehicleReadings
+from camber.simulator.vehicle.sensors import VehicleReadings, motion_messages
 
 MESSAGES = read_dbc(DBC, "can.dbc")
 

@@ -1,4 +1,4 @@
-"""A scenario is one file; what is wrong with it is one line; what comes with Camber can be used."""
+"""A scenario is one file; what is wrong with it or its faults is one line; what comes with Camber can be used."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camber.simulator.faults import Jamming, WrongBase, of_kind
 from camber.simulator.scenario import ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.district import make_district
@@ -41,6 +42,14 @@ def test_any_file_is_read_and_values_can_be_overridden(tmp_path: Path) -> None:
     assert scenario.start_ns == ((2399 * 7 + 5) * 86_400 + 3 * 3600 + 4 * 60 + 5) * 10**9
 
 
+def together(*faults: str) -> str:
+    return f"faults=[{', '.join(faults)}]"
+
+
+def tyre(onset_s: float, end_s: float, change_m: float) -> str:
+    return f'{{kind="changed_tyre", onset_s={onset_s}, end_s={end_s}, radius_change_m={change_m}}}'
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -53,6 +62,15 @@ def test_any_file_is_read_and_values_can_be_overridden(tmp_path: Path) -> None:
         ('faults=[{kind="wrong_base", onset_s=1.0, east=3.0}]', "did you mean east_m?"),
         ('faults=[{kind="wrong_base", onset_s=9.0, end_s=9.0}]', "end_s is not after onset_s"),
         ('faults=[{kind="wrong_base", onset_s=120.0}]', "faults.0: onset_s is 120.0, expected one before the end"),
+        ('faults=[{kind="dropped_process", onset_s=1.0, end_s=2.0, service="gnss"}]',
+         "started again at once, expected no end_s"),
+        # Faults that act at once keep the limits of one.
+        (together(tyre(1, 9, -0.08), tyre(5, 20, -0.08)), "2 changed_tyre act at 5 s with radius_change_m -0.16"),
+        (together(tyre(1, 9, -0.1), tyre(1, 20, 0.1), tyre(8, 20, 0.1)), "2 changed_tyre act at 9 s"),
+        (together('{kind="wheel_slip", onset_s=1, factor=0.2}', '{kind="wheel_slip", onset_s=2, factor=0.7}'),
+         "2 wheel_slip act at 2 s with factor -0.1 together, expected 0 to 3"),
+        (together(*(f'{{kind="changed_load", onset_s={s}, load_kg=800.0}}' for s in (1, 2, 3))),
+         "3 changed_load act at 3 s with load_kg 2400 together, expected 0 to 2000"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line_that_names_it(override: str, message: str) -> None:
@@ -91,3 +109,36 @@ def test_drives_of_other_seeds_see_the_same_place_where_the_place_has_a_seed() -
 
     assert heights_of(1, "place.seed=5") == heights_of(2, "place.seed=5") == heights_of(5)
     assert heights_of(1) != heights_of(2)
+
+
+def test_a_fault_acts_from_its_onset_until_before_its_end() -> None:
+    time_s = np.array([0.9, 1.0, 1.9, 2.0])
+    jamming = Jamming(kind="jamming", onset_s=1.0, end_s=2.0, loss_db=3.0)
+    assert jamming.acts(time_s).tolist() == [False, True, True, False]
+    assert WrongBase(kind="wrong_base", onset_s=1.0).acts(time_s).tolist() == [False, True, True, True]
+
+
+def test_faults_are_chosen_by_their_kind() -> None:
+    faults = load_scenario("faults").faults
+    (base,) = of_kind(faults, WrongBase)
+    assert base.east_m == 12.0
+
+
+@pytest.mark.parametrize(
+    ("override", "fault", "message"),
+    [
+        ("seed=1", 'kind="blocked_lidar", share=0.5', "blocked_lidar cannot act, expected a table lidar"),
+        ('vehicle="robot"', 'kind="changed_load", load_kg=1.0', "changed_load cannot act, expected vehicle = 'car'"),
+        ("fleet.vehicles=2", 'kind="missing_epochs"', "missing_epochs cannot act, expected no table fleet"),
+    ],
+)  # fmt: skip
+def test_a_fault_that_could_not_act_is_refused(override: str, fault: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario("open-sky", [override, f"faults=[{{onset_s=1.0, {fault}}}]"])
+
+
+@pytest.mark.parametrize("vehicle", ["car", "robot"])
+def test_faults_that_follow_or_undo_one_another_are_taken(vehicle: str) -> None:
+    faults = together(tyre(1, 5, -0.1), tyre(5, 20, -0.1), tyre(6, 7, 0.1))
+    scenario = load_scenario("open-sky", [f'vehicle="{vehicle}"', faults])
+    assert len(scenario.faults) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,19 +58,8 @@ def drive(
     number: int = 0,
     seed: int = 1,
 ) -> list[UploadBatch]:
-    return list(
-        drive_uploads(
-            track,
-            vehicle,
-            number,
-            start_ns=START_NS,
-            duration_s=600.0,
-            rate_hz=5.0,
-            map_version=7,
-            errors=errors,
-            seed=seed,
-        )
-    )
+    times: dict[str, Any] = {"start_ns": START_NS, "duration_s": 600.0, "rate_hz": 5.0}
+    return list(drive_uploads(track, vehicle, number, **times, map_version=7, errors=errors, seed=seed))
 
 
 def column(batches: list[UploadBatch], name: str) -> np.ndarray:

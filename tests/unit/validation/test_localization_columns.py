@@ -77,14 +77,6 @@ def test_errors_are_nan_where_pose_or_truth_is_unknown() -> None:
     assert np.isnan(result.level).all()
 
 
-def test_the_ellipse_is_that_of_99_per_cent() -> None:
-    edge = math.sqrt(-2.0 * math.log(0.01))
-    turned = [at(1.0 * math.cos(YAW_RAD), 1.0 * math.sin(YAW_RAD) + 0.1 * edge)]
-    result = errors(pose(0.5, 1.0, 0.0, latitude_rad=turned[0][0], longitude_rad=turned[0][1]))
-    assert result.share_of_ellipse == pytest.approx([1.0], abs=1e-4)
-    assert PoseColumns.from_poses([pose(0.5, 1.0, 0.0)]).radius_m == pytest.approx([0.2 * edge])
-
-
 def test_shares_of_a_correlated_ellipse_are_those_of_its_inverse() -> None:
     covariance = (0.05, 0.02, 0.0, 0.03, 0.0, 1e-4)
     result = errors(pose(0.5, 1.2, 0.3, covariance_east_north_yaw=covariance))
@@ -119,6 +111,8 @@ def test_covariances_are_symmetric_and_missing_ones_are_nan() -> None:
     assert columns.covariance[0].tolist() == [[0.05, 0.02, 0.001], [0.02, 0.03, 0.002], [0.001, 0.002, 1e-3]]
     assert np.isnan(columns.covariance[1]).all()
     assert np.isnan(columns.radius_m[1])
+    larger_m2 = np.linalg.eigvalsh([[0.05, 0.02], [0.02, 0.03]])[1]
+    assert columns.radius_m[0] == pytest.approx(math.sqrt(-2.0 * math.log(0.01) * larger_m2))
 
 
 def test_matches_with_different_layers_share_columns() -> None:

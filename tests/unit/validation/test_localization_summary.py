@@ -12,7 +12,7 @@ import pytest
 from camber.formats.drive.recording import Recorded
 from camber.replay.run_folder import DriveFacts, RunFacts
 from camber.schemas.antenna import AntennaHeight, HeightByMethod
-from camber.schemas.pose import Pose, PoseMode, Road, ScanMatch
+from camber.schemas.pose import Pose, Road, ScanMatch
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.report.page import render
 
@@ -27,31 +27,21 @@ def wrap(*messages: Any) -> list[Recorded[Any]]:
     ]
 
 
-def pose(step: int, mode: PoseMode) -> Pose:
-    road = Road(status="unknown", reason="no_pose")
-    return Pose(time_ns=START_NS + step * STEP_NS, mode=mode, provenance="none", road=road)
+def at(step: int) -> int:
+    return START_NS + step * STEP_NS
 
 
-def match(step: int, status: Any, layers_m: list[float] | None, height_m: float | None = None) -> ScanMatch:
-    distances = None if layers_m is None else np.array(layers_m)
+def match(step: int, layers_m: list[float], height_m: float) -> ScanMatch:
+    distances = np.array(layers_m)
     return ScanMatch(
-        time_ns=START_NS + step * STEP_NS,
-        status=status,
-        layer_mean_distance_m=distances,
-        sensor_height_m=height_m,
+        time_ns=at(step), status="converged", layer_mean_distance_m=distances, sensor_height_m=height_m
     )
 
 
-def height(step: int, method: Any, height_m: float, **others: float) -> AntennaHeight:
-    further = tuple(HeightByMethod(way=other, height_m=h, sigma_m=0.02) for other, h in others.items())  # type: ignore[arg-type]
-    return AntennaHeight(
-        time_ns=START_NS + step * STEP_NS,
-        status="known",
-        way=method,
-        height_m=height_m,
-        sigma_m=0.02,
-        others=further,
-    )
+def height(step: int, method: Any, height_m: float, other: Any, other_m: float) -> AntennaHeight:
+    others = (HeightByMethod(way=other, height_m=other_m, sigma_m=0.02),)
+    known: dict[str, Any] = {"status": "known", "height_m": height_m, "sigma_m": 0.02}
+    return AntennaHeight(time_ns=at(step), way=method, others=others, **known)
 
 
 def evaluated(recorded: dict[str, list[Recorded[Any]]]) -> Evaluation:
@@ -59,18 +49,18 @@ def evaluated(recorded: dict[str, list[Recorded[Any]]]) -> Evaluation:
 
 
 def drive() -> Evaluation:
+    road, modes = Road(status="unknown", reason="no_pose"), ("none", "scan_match", "scan_match")
+    poses = (Pose(time_ns=at(k), mode=mode, provenance="none", road=road) for k, mode in enumerate(modes))
+    lost = ScanMatch(time_ns=at(0), status="lost")
+    unknown = AntennaHeight(time_ns=at(0), status="unknown")
     return evaluated(
         {
-            "pose": wrap(pose(0, "none"), pose(1, "scan_match"), pose(2, "scan_match")),
-            "scan_match": wrap(
-                match(0, "lost", None),
-                match(1, "converged", [0.1, 0.2], 1.90),
-                match(2, "converged", [0.12, 0.4], 1.94),
-            ),
+            "pose": wrap(*poses),
+            "scan_match": wrap(lost, match(1, [0.1, 0.2], 1.90), match(2, [0.12, 0.4], 1.94)),
             "antenna_height": wrap(
-                AntennaHeight(time_ns=START_NS, status="unknown"),
-                height(1, "stroke", 1.58, ranging=1.60),
-                height(2, "ranging", 1.62, scan_matching=1.55),
+                unknown,
+                height(1, "stroke", 1.58, "ranging", 1.60),
+                height(2, "ranging", 1.62, "scan_matching", 1.55),
             ),
         }
     )

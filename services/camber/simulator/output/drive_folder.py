@@ -41,7 +41,7 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.arrivals import write_arrivals
 from camber.schemas.lidar import Sweep
-from camber.simulator.faults.schedule import ChangedRoad, WrongMap
+from camber.simulator.faults import ChangedRoad, WrongMap
 from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.output.drive_manifest import manifest_text
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, pcap_of
@@ -53,7 +53,7 @@ from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
 from camber.simulator.vehicle.lidar import Scan, SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
+from camber.simulator.vehicle.sensors import motion_messages, ranging_messages, suspension_messages
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 

@@ -66,13 +66,13 @@ class Propagation:
 
 def open_sky(n: int, m: int) -> Propagation:
     """Nothing around."""
-    none = np.full((n, m), np.nan)
+    bent, edge, excess = np.full((3, n, m), np.nan)
     return Propagation(
         direct=np.ones((n, m), np.bool_),
-        bent_rad=none,
-        edge_m=none,
+        bent_rad=bent,
+        edge_m=edge,
         crown_m=np.zeros((n, m)),
-        excess_m=none,
+        excess_m=excess,
         excess_per_m=np.zeros((n, m, 3)),
         enclosure=np.zeros(n),
     )
@@ -90,32 +90,25 @@ def propagation(
     Satellites below the lowest elevation are not looked at: not direct and without any other path.
     """
     tracer, lowest_rad = around.tracer, np.deg2rad(parameters.lowest_elevation_deg)
-    n, m = direction.shape[:2]
-    direct = np.zeros((n, m), np.bool_)
-    bent, edge = np.full((n, m), np.nan), np.full((n, m), np.nan)
-    crown = np.zeros((n, m))
+    paths = open_sky(*direction.shape[:2])
     epoch, satellite = np.nonzero(elevation_rad >= lowest_rad)
     origin, towards = antenna_m[epoch], direction[epoch, satellite]
     blocked = tracer.blocked(origin, towards, _SKY_M)
-    direct[epoch, satellite] = ~blocked
+    paths.direct[:] = False
+    paths.direct[epoch, satellite] = ~blocked
     e, s = epoch[blocked], satellite[blocked]
     reach_rad = np.deg2rad(parameters.diffraction_reach_deg)
-    bent[e, s], edge[e, s] = _over_an_edge(origin[blocked], towards[blocked], tracer, reach_rad)
-    comes = ~blocked
-    comes[blocked] = np.isfinite(bent[e, s])
-    crown[epoch[comes], satellite[comes]] = tracer.through_crowns_m(origin[comes], towards[comes], _SKY_M)
-    reach_m = parameters.reflection_reach_m
-    by_wall = reflections(antenna_m, direction, around.walls, tracer, reach_m=reach_m, sky_m=_SKY_M)
-    by_wall.excess_m[elevation_rad < lowest_rad] = np.nan
-    return Propagation(
-        direct=direct,
-        bent_rad=bent,
-        edge_m=edge,
-        crown_m=crown,
-        excess_m=by_wall.excess_m,
-        excess_per_m=by_wall.excess_per_m,
-        enclosure=_enclosure(antenna_m, tracer),
+    paths.bent_rad[e, s], paths.edge_m[e, s] = _over_an_edge(
+        origin[blocked], towards[blocked], tracer, reach_rad
     )
+    comes = ~blocked
+    comes[blocked] = np.isfinite(paths.bent_rad[e, s])
+    through_m = tracer.through_crowns_m(origin[comes], towards[comes], _SKY_M)
+    paths.crown_m[epoch[comes], satellite[comes]] = through_m
+    reach_m = parameters.reflection_reach_m
+    excess, per_m = reflections(antenna_m, direction, around.walls, tracer, reach_m=reach_m, sky_m=_SKY_M)
+    excess[elevation_rad < lowest_rad] = np.nan
+    return replace(paths, excess_m=excess, excess_per_m=per_m, enclosure=_enclosure(antenna_m, tracer))
 
 
 def _over_an_edge(

@@ -24,7 +24,6 @@ from camber.simulator.satellites.observations import SimulatedSignals
 from camber.simulator.satellites.parameters import SolutionParameters
 from camber.simulator.satellites.track import AntennaTrack
 from camber.simulator.satellites.wrong_integers import (
-    CodePosition,
     PhaseSignals,
     integers_at,
     shift_of,
@@ -140,9 +139,8 @@ def _fixes(
             known, moved = signals.used, shifted
         elif draws[k, 0] < (1.0 if k == 0 else 1.0 - np.exp(-dt[k] / p.search_s)):
             if draws[k, 1] < risk[k]:
-                error_m = geometry.code_solution_m[k]
-                code = CodePosition(normal=geometry.code_normal[k], error_m=error_m, sigma_m=p.code_sigma_m)
-                new = wrong_integers(signals, code, p.phase_sigma_m, rng)
+                normal, error_m = geometry.code_normal[k], geometry.code_solution_m[k]
+                new = wrong_integers(signals, normal, error_m, engine=p, rng=rng)
                 if new is not None:
                     holds_wrong, (offset, at), known = True, new, signals.used
                     shifted = shift_of(offset, signals)

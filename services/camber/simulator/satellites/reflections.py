@@ -6,8 +6,6 @@ the wall meets the wall along s′ after d / (s·n), and the path by the wall is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camber.compiled.decorator import compiled
@@ -18,29 +16,19 @@ CANDIDATES = 3  # chosen: a fourth wall hardly ever reflects where three nearer 
 _OFF_WALL_M = 0.05  # chosen: against rounding
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reflections:
-    """Per epoch and satellite (n, m): the shortest path by one wall.
-
-    `excess_m`, NaN where there is none; `excess_per_m` (n, m, 3): how the excess grows with the antenna's motion.
-    """
-
-    excess_m: Floats
-    excess_per_m: Floats
-
-
 def reflections(
     antenna_m: Floats, direction: Floats, walls: Walls, tracer: ShapeTracer, reach_m: float, sky_m: float
-) -> Reflections:
+) -> tuple[Floats, Floats]:
     """The shortest free path by one wall: antenna (n, 3), directions to satellites (n, m, 3), in the world frame.
 
+    By how much it is longer (n, m), NaN where there is none, and how that grows with the antenna's motion (n, m, 3).
     Walls further than `reach_m` away from the antenna are left out; `sky_m` is how far what blocks may stand.
     """
     n, m = direction.shape[:2]
     best = np.full((n, m), np.nan)
     slope = np.zeros((n, m, 3))
     if not len(walls.length_m) or not n or not m:
-        return Reflections(best, slope)
+        return best, slope
     antenna, towards = np.ascontiguousarray(antenna_m), np.ascontiguousarray(direction)
     excess, distance, wall = _mirrored(antenna, towards, walls, reach_m)
     for k in range(CANDIDATES):
@@ -62,7 +50,7 @@ def reflections(
         best[epoch[free], satellite[free]] = excess[epoch[free], satellite[free], k]
         grows = 2.0 * np.sum(s * normal, axis=1)[:, None] * normal
         slope[epoch[free], satellite[free]] = grows[free]
-    return Reflections(best, slope)
+    return best, slope
 
 
 def _blocked_within(tracer: ShapeTracer, origin_m: Floats, direction: Floats, length_m: Floats) -> Booleans:

@@ -54,43 +54,40 @@ class FixShapes(NamedTuple):
         return FixShapes._make(column[which] for column in self)
 
 
-class _Tries(NamedTuple):
-    """Columns of the tries; `status` 1: passes all tests, 2: its residuals do not, 0: no fix of this kind."""
-
-    shift: Floats
-    rate: Floats
-    claimed: Floats
-    reflected: Floats
-    status: Integers
-    ambiguities: Integers
-
-
 def fix_shapes(skies: RandomSkies, kind: Kind, tries: int, rng: np.random.Generator) -> FixShapes:
     """So many tries on each sky, but of a `search` at most three that succeed; what is no fix, or not of that kind, is
     left out. A search is tried on skies of at most 20 rows: where there are more it hardly ever errs.
     """
     seeds = rng.integers(0, 2**31 - 1, len(skies.rows) * tries)
     kind_number = get_args(Kind).index(kind)
-    made = _shapes(skies, seeds, kind=kind_number, tries=tries, limits=_LIMITS)
+    shift, rate, claimed, reflected, status, count = _shapes(
+        skies, seeds, kind=kind_number, tries=tries, limits=_LIMITS
+    )
     sky = np.repeat(np.arange(len(skies.rows)), tries)
     along = np.column_stack((np.cos(skies.street_rad), np.sin(skies.street_rad)))
     seen = np.array([len(np.unique(row[:m])) for row, m in zip(skies.satellite, skies.rows, strict=True)])
     return FixShapes(
         sky=sky,
-        shift_m=made.shift,
-        rate_m_s=made.rate,
-        claimed_m2=made.claimed,
-        reflected_m2=made.reflected,
-        residuals_agree=made.status == 1,
-        ambiguities=made.ambiguities,
+        shift_m=shift,
+        rate_m_s=rate,
+        claimed_m2=claimed,
+        reflected_m2=reflected,
+        residuals_agree=status == 1,
+        ambiguities=count,
         street=skies.street[sky],
         along=along[sky],
         satellites=seen[sky],
-    ).chosen(made.status > 0)
+    ).chosen(status > 0)
 
 
 @compiled
-def _shapes(skies: RandomSkies, seeds: Integers, kind: int, tries: int, limits: FixCriteria) -> _Tries:
+def _shapes(
+    skies: RandomSkies, seeds: Integers, kind: int, tries: int, limits: FixCriteria
+) -> tuple[Floats, Floats, Floats, Floats, Integers, Integers]:
+    """Of the tries: shifts, rates, covariances claimed and by reflections, status, numbers of ambiguities.
+
+    Status 1: passes all tests, 2: its residuals do not, 0: no fix of this kind.
+    """
     rows, direction, later = skies.rows, skies.direction, skies.later_direction
     code_sigma, phase_sigma, reflection = skies.code_sigma_m, skies.phase_sigma_m, skies.reflection_m
     n = seeds.size
@@ -130,9 +127,7 @@ def _shapes(skies: RandomSkies, seeds: Integers, kind: int, tries: int, limits: 
             successes += 1
             if kind == 1 and successes == _MOST_OF_SEARCH:
                 break
-    return _Tries(
-        shift=shift, rate=rate, claimed=claimed, reflected=reflected, status=status, ambiguities=count
-    )
+    return shift, rate, claimed, reflected, status, count
 
 
 @compiled

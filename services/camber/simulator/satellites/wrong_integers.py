@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camber.simulator.satellites.parameters import SolutionParameters
 from camber.simulator.scene import Booleans, Floats, Integers
 
 _DRAWS = 512  # chosen: enough to meet the most plausible points of the lattice
@@ -27,21 +28,18 @@ class PhaseSignals:
     wavelength_m: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class CodePosition:
-    """The float position: normal matrix (3, 3) of unit weights, the position's error (3,), σ of one code."""
-
-    normal: Floats
-    error_m: Floats
-    sigma_m: float
-
-
 def wrong_integers(
-    signals: PhaseSignals, code: CodePosition, phase_sigma_m: float, rng: np.random.Generator
+    signals: PhaseSignals,
+    code_normal: Floats,
+    code_error_m: Floats,
+    *,
+    engine: SolutionParameters,
+    rng: np.random.Generator,
 ) -> tuple[Floats, Floats] | None:
     """One wrong point of the lattice at one epoch, drawn by its plausibility; None where there is none.
 
-    Its integers' offsets (m, 2) in whole cycles, zero where right or not used, and the shift (3,) of the position.
+    `code_normal` (3, 3), of unit weights, and `code_error_m` (3,) are of the float position. Returned are its integers'
+    offsets (m, 2) in whole cycles, zero where right or not used, and the shift (3,) of the position.
     """
     satellite, frequency = np.nonzero(signals.used)
     wave = signals.wavelength_m[satellite, frequency]
@@ -51,8 +49,8 @@ def wrong_integers(
     g, wave_other = g[other], wave[other]
     if len(g) < 4 or np.linalg.matrix_rank(g) < 3:
         return None
-    spread = np.linalg.cholesky(np.linalg.inv(code.normal) * code.sigma_m**2)
-    x = code.error_m + rng.normal(size=(_DRAWS, 3)) @ spread.T * rng.uniform(0.2, 1.5, (_DRAWS, 1))
+    spread = np.linalg.cholesky(np.linalg.inv(code_normal) * engine.code_sigma_m**2)
+    x = code_error_m + rng.normal(size=(_DRAWS, 3)) @ spread.T * rng.uniform(0.2, 1.5, (_DRAWS, 1))
     whole = np.zeros((_DRAWS, len(g)))
     solve = np.linalg.solve(g.T @ g, g.T)
     for _ in range(_ROUNDS):
@@ -64,9 +62,9 @@ def wrong_integers(
     whole = np.concatenate((whole, single))
     x = np.concatenate((x, -(single * wave_other) @ solve.T))
     # Differences to one reference are noisier than one phase by √2 each and alike: half of the square is a fair weight.
-    norm = 0.5 * np.sum((whole * wave_other + x @ g.T) ** 2, axis=1) / phase_sigma_m**2
-    off = x - code.error_m
-    norm = norm + np.einsum("ki,ij,kj->k", off, code.normal, off) / code.sigma_m**2
+    norm = 0.5 * np.sum((whole * wave_other + x @ g.T) ** 2, axis=1) / engine.phase_sigma_m**2
+    off = x - code_error_m
+    norm = norm + np.einsum("ki,ij,kj->k", off, code_normal, off) / engine.code_sigma_m**2
     wrong = np.any(whole != 0.0, axis=1)
     if not bool(wrong.any()):
         return None

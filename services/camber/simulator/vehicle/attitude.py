@@ -20,12 +20,6 @@ def rotations(roll_rad: Floats, pitch_rad: Floats, yaw_rad: Floats) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def turned(rotation: Floats, point: tuple[float, float, float]) -> Floats:
-    """A point of the vehicle frame in world axes (n, 3)."""
-    moved: Floats = rotation @ np.array(point)
-    return moved
-
-
 def angular_velocity(pitch_rad: Floats, yaw_rad: Floats, rates: tuple[Floats, Floats, Floats]) -> Floats:
     """ω in world axes [rad/s] (n, 3) of the rates of roll, pitch, yaw: about the body's x, the turned y, up."""
     roll_rate, pitch_rate, yaw_rate = rates

@@ -14,11 +14,6 @@ Point = tuple[float, float, float]
 GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
 
 
-def minus(a: Point, b: Point) -> Point:
-    """From b to a."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
 @dataclass(frozen=True, slots=True)
 class Mode:
     """One degree of freedom of the body on its springs: q'' + 2 ζ ω q' + ω² q = what drives it."""

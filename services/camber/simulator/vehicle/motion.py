@@ -18,11 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.simulator.faults.effects import vehicle_effect
-from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, Fault, WheelSlip
+from camber.simulator.faults import ChangedLoad, ChangedTyre, Fault, WheelSlip, vehicle_effect
 from camber.simulator.scene import Floats, Path, Trajectory
-from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations, turned
-from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody, minus
+from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations
+from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
 from camber.simulator.vehicle.cubic_curve import CubicCurve
 from camber.simulator.vehicle.driven_path import DrivenPath, contact_curve
 from camber.simulator.vehicle.speed_profile import DRIVER, progress_along
@@ -152,9 +151,8 @@ def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[Fault], time_s
         heave, heave_rate = up - axle, up_rate - axle_rate
     on_road = rotations(road_roll, road_pitch, rolling.yaw_rad)
     on_body = rotations(roll, pitch, rolling.yaw_rad)
-    centre = (0.5 * body.wheelbase_m, 0.0, body.tyre_radius_m)
-    arm = turned(on_road, centre)
-    lever = turned(on_body, minus(body.antenna, centre))
+    centre = np.array((0.5 * body.wheelbase_m, 0.0, body.tyre_radius_m))
+    arm, lever = on_road @ centre, on_body @ (body.antenna - centre)
     upright = np.array([0.0, 0.0, 1.0])
     # The rear axle's middle on the wheels' plane may be off the path's height where the road is not plane.
     lift = (road[:, 0] - rolling.origin_m[:, 2] + radius + heave)[:, None]
@@ -166,7 +164,7 @@ def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[Fault], time_s
     stroke = np.full(len(time_s), np.nan)
     if springs is not None:
         top = (*body.stroke_point, body.tyre_radius_m + springs.stroke_m)
-        above = heave[:, None] * upright + turned(on_body, minus(top, centre))
+        above = heave[:, None] * upright + on_body @ (top - centre)
         stroke = np.einsum("nk,nk->n", on_road[:, :, 2], above)
     return _Posed(
         roll_rad=roll,

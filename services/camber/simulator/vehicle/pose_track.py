@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 
 from camber.simulator.scene import Floats, Integers, Trajectory
-from camber.simulator.vehicle.attitude import rotations, turned
-from camber.simulator.vehicle.body import Point, VehicleBody, minus
+from camber.simulator.vehicle.attitude import rotations
+from camber.simulator.vehicle.body import Point, VehicleBody
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -30,7 +30,7 @@ class PoseTrack:
         rotation = rotations(t.roll_rad, t.pitch_rad, t.yaw_rad)
         return cls(
             time_ns=t.time_ns,
-            position_m=t.antenna_m + turned(rotation, minus(point, body.antenna)),
+            position_m=t.antenna_m + rotation @ np.subtract(point, body.antenna),
             angles_rad=np.column_stack((t.roll_rad, t.pitch_rad, np.unwrap(t.yaw_rad))),
         )
 

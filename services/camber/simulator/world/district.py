@@ -16,10 +16,9 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Path, Shapes, Walls
 from camber.simulator.world.layouts import LAYOUTS, Layout, canyon_layout
-from camber.simulator.world.road_mesh import road_mesh
 from camber.simulator.world.roads import Roads
-from camber.simulator.world.roadside import Day, buildings, roadside
-from camber.simulator.world.routes import Stop, route_path
+from camber.simulator.world.roadside import Day, buildings, shapes_of
+from camber.simulator.world.routes import route_path
 
 Kind = Literal["open-sky", "city", "canyon", "canyons", "overpass", "tunnel"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -57,18 +56,7 @@ class District:
 
     def shapes(self, day: Day) -> Shapes:
         """All that a ray may meet on a day."""
-        roads = self.roads(day)
-        side = roadside(roads, self.seed, day)
-        triangles, triangles_material = road_mesh(roads)
-        return Shapes(
-            boxes_m=side.boxes_m,
-            boxes_material=side.boxes_material,
-            cylinders_m=side.cylinders_m,
-            cylinders_material=side.cylinders_material,
-            crowns_m=side.crowns_m,
-            triangles_m=triangles,
-            triangles_material=triangles_material,
-        )
+        return shapes_of(self.roads(day), self.seed, day)
 
     def walls(self) -> Walls:
         """The four sides of each building."""
@@ -97,14 +85,14 @@ class District:
         """The Path along a route of the layout."""
         route, roads = self.layout.routes[name], self.roads(day)
         rng = stream(self.seed, f"stops {name}")
-        stops = []
+        stops_s = {}
         for number, leg in enumerate(route.legs[:-1]):
             wants, for_s = rng.random() < _STOP_CHANCE, float(rng.uniform(*_STOP_S))
             node = int((roads.end_node if leg.forward else roads.start_node)[leg.link]) - 1
             # Signals stand where roads cross, and not at the foot of a ramp.
             if route.signals and wants and roads.nodes_m[node, 2] > 0.0 and roads.length_m[leg.link] > 60.0:
-                stops.append(Stop(leg=number, before_m=14.0, stop_s=for_s))
-        return route_path(roads, route.legs, start_m=route.start_m, end_m=route.end_m, stops=stops)
+                stops_s[number] = for_s
+        return route_path(roads, route.legs, stops_s, start_m=route.start_m, end_m=route.end_m)
 
 
 def make_district(

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Booleans, Floats, Integers, Material
+from camber.simulator.scene import Booleans, Floats, Integers, Material, Shapes
+from camber.simulator.world.road_mesh import road_mesh
 from camber.simulator.world.roads import HALF_WIDTH, Roads
 from camber.simulator.world.tunnel_fittings import tunnel_fittings
 
@@ -58,19 +59,8 @@ FRONTAGES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Roadside:
-    """Columns as in Shapes; on one day, with what hangs in tunnels."""
-
-    boxes_m: Floats
-    boxes_material: Integers
-    cylinders_m: Floats
-    cylinders_material: Integers
-    crowns_m: Floats
-
-
-def roadside(roads: Roads, seed: int, day: Day) -> Roadside:
-    """All that stands along the roads on one day; the buildings are the same on both."""
+def shapes_of(roads: Roads, seed: int, day: Day) -> Shapes:
+    """The roads and all that stands along them on one day, with what hangs in tunnels; buildings stay."""
     trunks, crowns = _trees(roads, seed, day)
     boxes = {
         Material.BUILDING: buildings(roads, seed),
@@ -79,12 +69,15 @@ def roadside(roads: Roads, seed: int, day: Day) -> Roadside:
         Material.TUNNEL: tunnel_fittings(roads, seed),
     }
     cylinders = {Material.POLE: _poles(roads, seed, day), Material.TREE: trunks}
-    return Roadside(
+    triangles, triangles_material = road_mesh(roads)
+    return Shapes(
         boxes_m=np.concatenate([*boxes.values()]),
         boxes_material=_material_of(boxes),
         cylinders_m=np.concatenate([*cylinders.values()]),
         cylinders_material=_material_of(cylinders),
         crowns_m=crowns,
+        triangles_m=triangles,
+        triangles_material=triangles_material,
     )
 
 

@@ -7,7 +7,7 @@ inwards by a few centimetres and makes the curvature continuous, as steering doe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -26,6 +26,7 @@ _FINE_M = 0.02
 _AVERAGED_M = 6.0
 _SAME_DIRECTION_RAD = 1.0e-3
 _DIFFERENCE_M = 0.01
+_STOP_BEFORE_M = 14.0  # chosen: before a node
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,22 +37,14 @@ class Leg:
     forward: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stop:
-    """A vehicle stops before the end of a leg of its route, `before_m` before the node, for `stop_s`."""
-
-    leg: int
-    before_m: float
-    stop_s: float
-
-
 def route_path(
-    roads: Roads, legs: Sequence[Leg], *, start_m: float = 0.0, end_m: float = 0.0, stops: Sequence[Stop] = ()
+    roads: Roads, legs: Sequence[Leg], stops_s: Mapping[int, float], start_m: float = 0.0, end_m: float = 0.0
 ) -> Path:
     """The Path along some links, each of which ends where the next one begins.
 
-    It begins `start_m` after the start of the first leg and ends `end_m` before the end of the last. Raises ValueError
-    where legs do not follow one another, or leave no room for a turn.
+    It begins `start_m` after the start of the first leg and ends `end_m` before the end of the last. `stops_s`: by the
+    number of a leg, how long to stop before its end. Raises ValueError where legs do not follow one another, or leave
+    no room for a turn.
     """
     line_m, leg_of = _fine(*_lane_line(roads, legs, start_m, end_m))
     line_m = _averaged(line_m)
@@ -71,10 +64,9 @@ def route_path(
     limit_in_curves = np.sqrt(LATERAL_ACCELERATION_M_S2 / np.maximum(curvature, 1.0e-4))
     limit = np.minimum(roads.speed_m_s[link], limit_in_curves)
     stop_s = np.zeros(len(s))
-    for stop in stops:
-        before = np.flatnonzero(leg == stop.leg)
-        where = int(before[-1] - round(stop.before_m / STEP_M))
-        limit[where], stop_s[where] = 0.0, stop.stop_s
+    for number, for_s in stops_s.items():
+        where = int(np.flatnonzero(leg == number)[-1] - round(_STOP_BEFORE_M / STEP_M))
+        limit[where], stop_s[where] = 0.0, for_s
     return Path(
         step_m=STEP_M,
         east_m=east,

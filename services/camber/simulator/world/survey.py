@@ -56,17 +56,14 @@ def write_survey(
     time_ns: int,
     errors: SurveyErrors | None = None,
     *,
-    seed: int | None = None,
     scanned_route: str | None = None,
 ) -> ReleaseRoot:
-    """Write the release of a district as surveyed at `time_ns`; the seed is the district's where none is given.
+    """Write the release of a district as surveyed at `time_ns`.
 
     With `scanned_route` the clouds are scanned from the links of that route only: enough for a drive along it, and
     faster. Raises ReleaseError and OSError as `write_release`, KeyError for a route that the district does not have.
     """
-    errors = errors or SurveyErrors()
-    seed = district.seed if seed is None else seed
-    roads = district.roads("survey")
+    errors, seed, roads = errors or SurveyErrors(), district.seed, district.roads("survey")
     sigma_m, correlation_m = errors.height_sigma_m, errors.height_correlation_m
     surfaces = surveyed_surfaces(
         roads, district.frame, seed, sigma_m=sigma_m, correlation_m=correlation_m, seen_ns=time_ns

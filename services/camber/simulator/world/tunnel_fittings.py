@@ -11,7 +11,7 @@ The middle of a long tunnel is bare on purpose: for some 20 m a sensor sees next
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,36 +31,33 @@ _LEFT, _RIGHT, _BOTH = (1.0,), (-1.0,), (-1.0, 1.0)
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fitting:
+class Fitting(NamedTuple):
     """One sort: drawn `every_m` (least, most), on the sides of the road that are named (left positive).
 
     Sizes along, across and upwards, drawn between two; `up_m` of the base above the road, None: hung from the ceiling.
     `inwards_m`: its middle from the wall, None: it stands at the wall.
     """
 
-    every_m: tuple[float, float]
+    every_m: Pair
     sides: tuple[float, ...]
-    long_m: tuple[float, float]
-    deep_m: tuple[float, float]
-    high_m: tuple[float, float]
+    long_m: Pair
+    deep_m: Pair
+    high_m: Pair
     up_m: float | None
     inwards_m: float | None
 
 
-_ROWS: dict[str, tuple[Pair, tuple[float, ...], Pair, Pair, Pair, float | None, float | None]] = {
-    "lamps": ((10.0, 18.0), _BOTH, (1.1, 1.3), (0.3, 0.3), (0.16, 0.2), None, 1.6),
-    "fans": ((60.0, 100.0), _BOTH, (2.6, 3.2), (0.85, 0.85), (0.85, 0.85), None, 3.2),
-    "hydrants": ((46.0, 54.0), _LEFT, (1.4, 1.9), (0.25, 0.35), (1.2, 1.6), 0.5, None),
-    "telephones": ((90.0, 150.0), _RIGHT, (0.7, 1.0), (0.3, 0.4), (1.9, 2.1), 0.1, None),
-    "cabinets": ((40.0, 110.0), _RIGHT, (0.9, 2.2), (0.3, 0.5), (1.3, 1.9), 0.1, None),
-    "doors": ((150.0, 250.0), _LEFT, (2.0, 2.4), (0.15, 0.25), (2.3, 2.5), 0.0, None),
-    "signs": ((60.0, 140.0), _BOTH, (0.12, 0.16), (0.6, 0.8), (0.6, 0.8), 2.4, None),
-}
-"""By sort, the fields of Fitting in their order."""
 FITTINGS = {
-    name: Fitting(**dict(zip(Fitting.__slots__, row, strict=True)))  # type: ignore[arg-type]
-    for name, row in _ROWS.items()
+    name: Fitting._make(row)
+    for name, row in {
+        "lamps": ((10.0, 18.0), _BOTH, (1.1, 1.3), (0.3, 0.3), (0.16, 0.2), None, 1.6),
+        "fans": ((60.0, 100.0), _BOTH, (2.6, 3.2), (0.85, 0.85), (0.85, 0.85), None, 3.2),
+        "hydrants": ((46.0, 54.0), _LEFT, (1.4, 1.9), (0.25, 0.35), (1.2, 1.6), 0.5, None),
+        "telephones": ((90.0, 150.0), _RIGHT, (0.7, 1.0), (0.3, 0.4), (1.9, 2.1), 0.1, None),
+        "cabinets": ((40.0, 110.0), _RIGHT, (0.9, 2.2), (0.3, 0.5), (1.3, 1.9), 0.1, None),
+        "doors": ((150.0, 250.0), _LEFT, (2.0, 2.4), (0.15, 0.25), (2.3, 2.5), 0.0, None),
+        "signs": ((60.0, 140.0), _BOTH, (0.12, 0.16), (0.6, 0.8), (0.6, 0.8), 2.4, None),
+    }.items()
 }
 
 

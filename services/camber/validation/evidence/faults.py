@@ -24,7 +24,7 @@ AFTER_S = 15.0
 """Chosen: a cause may be named so long after the fault's end; its effects have ended by then."""
 LASTING_S = 2.0
 """Chosen: an indication repeated within this time is the same one, going on."""
-_PREFIX = "fault_"
+_PREFIX, _POSITIONS = "fault_", "receiver"
 NO_SURFACE = -1
 _SURFACE = re.compile(r"surface (\d+)")
 _OF_LIDAR = ("blocked_lidar", "symmetric_scene")
@@ -136,32 +136,24 @@ def during(indications: Iterable[FaultIndication], begin_ns: int, end_ns: int) -
     }
 
 
-def run_faults(
-    folder: Path,
-    *,
-    seed: int,
-    scenario: str = "faults",
-    overrides: Sequence[str] = (),
-    positions: str = "receiver",
-    lidar: bool = True,
-) -> dict[str, Any]:
+def run_faults(folder: Path, *, seed: int, overrides: Sequence[str], lidar: bool) -> dict[str, Any]:
     """Simulate the scenario, send it through one process; a row for each fault.
 
     Without `lidar` the vehicle has none, and the faults that concern it are left out: minutes instead of an hour.
     """
-    made = load_scenario(scenario, [*overrides, f"seed={seed}"])
+    made = load_scenario("faults", [*overrides, f"seed={seed}"])
     if not lidar:
         there = tuple(fault for fault in made.faults if fault.kind not in _OF_LIDAR)
         made = made.model_copy(update={"lidar": None, "faults": there})
-    manifest = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
+    manifest = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{_POSITIONS}"'])
     drive = evaluate_drive(manifest, folder)
     summary, windows = drive.evaluation.summary, fault_windows(drive.truth)
     indications = indications_of(drive.output)
     return {
-        "scenario": scenario,
+        "scenario": "faults",
         "seed": seed,
         "overrides": list(overrides),
-        "positions": positions,
+        "positions": _POSITIONS,
         "sweeps": len(drive.inputs.sweeps),
         "faults": [
             _row(window, windows[number:], drive, indications) for number, window in enumerate(windows, 1)

@@ -13,10 +13,11 @@ from camber.validation.evidence.faults import AFTER_S
 from camber.validation.evidence.nagoya import BASELINES, REQUIREMENTS, Requirement, total
 from camber.validation.evidence.simulated_drives import (
     BLOCK_S,
-    KIKUCHI,
     LIMITS_M,
     MODES,
     MORE_CONFIRMED,
+    PUBLISHED_BELOW,
+    PUBLISHED_INSIDE_99,
     REQUIRED_BELOW,
     WITHOUT,
     stacked_blocks,
@@ -53,9 +54,6 @@ def page(
     parts += ["## Faults\n", faults_part(faults)]
     parts += [lab or f"## The lab\n\n{NOT_RUN}"]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
-
-
-# -- Nagoya -----------------------------------------------------------------------------------------------------------
 
 
 def nagoya_part(results: Results) -> str:
@@ -140,9 +138,6 @@ def _wrong_confirmed(results: Results) -> str:
 
 def _metres(value: float | None, decimals: int = 2) -> str:
     return "—" if value is None else f"{value:+.{decimals}f}"
-
-
-# -- simulated drives -------------------------------------------------------------------------------------------------
 
 
 def drives_part(results: Results) -> str:
@@ -235,8 +230,8 @@ def _largest(ratios: Iterable[float | None]) -> str:
 def _errors(results: Results) -> str:
     blocks = stacked_blocks(results, None)
     epochs, known = blocks[:, 0], blocks[:, 1]
-    rows = [("availability", percent(KIKUCHI.availability, 0), "100 %", percent(share_of(known, epochs)), "")]
-    for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, KIKUCHI.below, REQUIRED_BELOW, strict=True)):
+    rows = [("availability", "100 %", "100 %", percent(share_of(known, epochs)), "")]
+    for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, PUBLISHED_BELOW, REQUIRED_BELOW, strict=True)):
         limits = f"error < {limit_m:.1f} m", percent(theirs, 1), percent(asked, 1)
         rows.append((*limits, *_share_and_interval(blocks[:, 2 + k], known)))
     return table(("", "R (Nagoya 2014)", "asked for", "Camber", "95 %, blocks redrawn"), rows)
@@ -247,7 +242,6 @@ def _share_and_interval(hits: Float64, trials: Float64) -> tuple[str, str]:
 
 
 def _coverage(results: Results) -> str:
-    theirs = dict(KIKUCHI.inside_99)
     by_mode = {mode: stacked_blocks(results, mode) for mode in MODES}
     by_mode["all"] = np.sum(list(by_mode.values()), axis=0)
     rows: list[tuple[object, ...]] = []
@@ -256,7 +250,7 @@ def _coverage(results: Results) -> str:
         if not n.sum():
             rows.append((mode, 0, "—", "none", "", "none", ""))
             continue
-        published = percent(theirs[mode], 1) if mode in theirs else "—"
+        published = percent(PUBLISHED_INSIDE_99[mode], 1) if mode in PUBLISHED_INSIDE_99 else "—"
         shares = *_share_and_interval(inside_99, n), *_share_and_interval(inside_999, n)
         rows.append((mode, int(n.sum()), published, *shares))
     head = ("truth inside", "epochs", "R, 99 %", "99 % ellipse", "95 %", "99.9 % ellipse", "95 %")
@@ -265,9 +259,6 @@ def _coverage(results: Results) -> str:
 
 def _interval(interval: tuple[float, float] | None) -> str:
     return "—" if interval is None else f"{percent(interval[0])} – {percent(interval[1])}"
-
-
-# -- faults -----------------------------------------------------------------------------------------------------------
 
 
 def faults_part(results: Results) -> str:

@@ -53,14 +53,12 @@ class WeightedRate(AddingUp):
         return self.total**2 / self.squares if self.squares > 0.0 else 0.0
 
 
-def weighted_draws(
-    covariance_m2: Floats, rng: np.random.Generator, widened: float = WIDENED
-) -> tuple[Floats, Floats]:
-    """Draws (n, d) for covariances (n, d, d), and their weights (n,): half as they are, half `widened`."""
+def weighted_draws(covariance_m2: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Draws (n, d) for covariances (n, d, d), and their weights (n,): half as they are, half widened."""
     n, d = covariance_m2.shape[:2]
-    white = rng.normal(size=(n, d)) * np.where(rng.random(n) < 0.5, 1.0, widened)[:, None]
+    white = rng.normal(size=(n, d)) * np.where(rng.random(n) < 0.5, 1.0, WIDENED)[:, None]
     square = np.sum(white**2, axis=1)
-    wide = np.exp(0.5 * square * (1.0 - widened**-2)) / widened**d
+    wide = np.exp(0.5 * square * (1.0 - WIDENED**-2)) / WIDENED**d
     value = (np.linalg.cholesky(covariance_m2) @ white[:, :, None])[:, :, 0]
     return value, 2.0 / (1.0 + wide)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from camber.schemas.base import Float64, Int64
 from camber.validation.evaluation import Evaluation
 from camber.validation.fix_statistics import RIGHT_M
 from camber.validation.judged_fixes import CONFIRMED_VERDICTS
-from camber.validation.localization_summary import LocalizerRecord
+from camber.validation.localization_columns import LocalizerRecord
 
 
 def start_ns_of(evaluation: Evaluation) -> int:
@@ -53,10 +54,8 @@ def chart_data(evaluation: Evaluation) -> dict[str, Any]:
             "n": _column(row_plane[:, 1], 2),
             "verdict": [verdict_names.index(row.verdict_name) for row in rows],
             "reason": [-1 if v is None else reasons.index(v.reason) for v in verdicts],
-            "difference": _column(
-                _optional([None if v is None else v.height_difference_m for v in verdicts])
-            ),
-            "tolerance": _column(_optional([None if v is None else v.tolerance_m for v in verdicts])),
+            "difference": _column([None if v is None else v.height_difference_m for v in verdicts]),
+            "tolerance": _column([None if v is None else v.tolerance_m for v in verdicts]),
             "error": _column(np.linalg.norm(evaluation.tentative_error_enu_m, axis=1)),
             "confirmed_error": _column(evaluation.confirmed_error_m),
         },
@@ -110,12 +109,9 @@ def _plane(frame: LocalFrame | None, places: Float64) -> Float64:
     return plane
 
 
-def _optional(values: list[float | None]) -> Float64:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-
-def _column(values: Float64, decimals: int = 3) -> list[float | None]:
-    return [None if value != value else value for value in np.round(values, decimals).tolist()]
+def _column(values: Float64 | Sequence[float | None], decimals: int = 3) -> list[float | None]:
+    rounded = np.round(np.array(values, np.float64), decimals).tolist()
+    return [None if value != value else value for value in rounded]
 
 
 def embedded_json(data: dict[str, Any]) -> str:

@@ -328,9 +328,6 @@ def _verdict_counts(rows: list[JudgedFix]) -> str:
     return ", ".join(f"{_dot(name)}{count} {_spaced(name)}" for name, count in counts.items()) or "–"
 
 
-# formats
-
-
 def _table(head: list[str], rows: list[str]) -> str:
     """A table; a heading that begins with < is aligned to the left."""
     cells = "".join(f'<th class="left">{h[1:]}</th>' if h.startswith("<") else f"<th>{h}</th>" for h in head)

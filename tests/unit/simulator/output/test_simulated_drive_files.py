@@ -273,6 +273,7 @@ def test_a_robot_is_as_long_as_it_is_and_any_description_can_be_read_back(tmp_pa
     assert manifest.surrogates.wheelbase_m == pytest.approx(0.55)
     assert manifest.antenna_height.way == "fixed"
     assert manifest.suspension is None
+    assert not (folder / "suspension.csv").exists()
 
 
 def test_a_receiver_without_output_is_one_line_and_leaves_an_earlier_drive_alone(

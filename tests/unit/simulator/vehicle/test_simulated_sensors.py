@@ -14,7 +14,6 @@ from camber.simulator.vehicle.attitude_sensor import AttitudeSensor
 from camber.simulator.vehicle.body import CAR, ROBOT
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.sensor_clock import DriftingClock
-from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
 from camber.simulator.vehicle.sensors import (
     BiasedSensor,
     RangingSensor,
@@ -23,8 +22,11 @@ from camber.simulator.vehicle.sensors import (
     WheelSensor,
     distance_to_road_m,
     edge_times,
+    motion_messages,
+    ranging_messages,
     read_sensors,
     speed_of_edges,
+    suspension_messages,
 )
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
 
@@ -138,16 +140,6 @@ def test_the_beam_meets_a_plane_road_as_in_closed_form() -> None:
         assert distance[k] == pytest.approx(expected, abs=1e-7)
 
 
-def test_at_rest_on_flat_road_the_distance_gives_the_antenna_s_height() -> None:
-    # JP7707657B2 eq. (6) and (7): h_a = d sin θ + h_sa.
-    for body in (CAR, ROBOT):
-        path = path_over(flat, np.zeros(100))
-        t = drive(path, body, start_ns=START_NS)
-        d = distance_to_road_m(t, body, path.surface_m, t.time_ns[:1], angle_rad=body.ranging_angle_rad)
-        height = d[0] * math.sin(body.ranging_angle_rad) + (body.antenna[2] - body.ranging[2])
-        assert height == pytest.approx(t.antenna_height_m[0], abs=1e-9)
-
-
 def test_where_no_road_is_known_the_ranging_sensor_gives_nothing() -> None:
     path = path_over(flat, np.zeros(100), surface=False)
     t = drive(path, CAR, start_ns=START_NS)
@@ -252,14 +244,6 @@ def test_messages_hold_the_newest_readings(path: Path, trajectory: Trajectory) -
     assert motion_messages(silent)[-1].wheel_speed_m_s is None
     assert len(suspension_messages(readings, NORMAL)) == len(readings.stroke.time_ns)  # type: ignore[union-attr]
     assert len(ranging_messages(readings, NORMAL, CAR)) == int(np.isfinite(readings.ranging.value).sum())
-
-
-def test_a_robot_has_no_stroke() -> None:
-    path = path_over(flat, np.zeros(100))
-    t = drive(path, ROBOT, start_ns=START_NS)
-    readings = read_sensors(t, ROBOT, path.surface_m, NORMAL, 1)
-    assert readings.stroke is None
-    assert suspension_messages(readings, NORMAL) == []
 
 
 def test_to_change_one_error_leaves_the_others(path: Path, trajectory: Trajectory) -> None:

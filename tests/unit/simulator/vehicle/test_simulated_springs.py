@@ -12,22 +12,6 @@ from camber.simulator.vehicle.cubic_curve import CubicCurve
 from camber.simulator.vehicle.suspension import sprung
 
 
-def test_a_released_push_rings_as_the_closed_form_says() -> None:
-    mode = Mode(1.3, 0.3)
-    w, z = mode.natural_frequency_rad_s, mode.damping_ratio
-    n, step_s = 400, 0.01
-    push = np.zeros(n)
-    push[0] = 1.0
-    q, rate = sprung(mode, np.zeros(n), push, step_s)
-    # From the first step on the mode is free: q = e^(−ζωt) (a cos ω't + b sin ω't).
-    t = np.arange(n - 1) * step_s
-    damped = w * np.sqrt(1.0 - z**2)
-    b = (rate[1] + z * w * q[1]) / damped
-    free = np.exp(-z * w * t) * (q[1] * np.cos(damped * t) + b * np.sin(damped * t))
-    np.testing.assert_allclose(q[1:], free, atol=1e-12)
-    np.testing.assert_allclose(np.gradient(q, step_s)[2:-1], rate[2:-1], atol=2e-2)
-
-
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(st.floats(0.5, 4.0), st.floats(0.05, 0.9), st.integers(0, 2**31))
 def test_the_motion_is_that_of_another_simulation(hz: float, damping: float, seed: int) -> None:

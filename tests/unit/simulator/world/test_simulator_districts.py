@@ -159,14 +159,6 @@ def test_walls_are_the_sides_of_what_rays_hit(kind: Kind) -> None:
     np.testing.assert_allclose(hits.normal, out, atol=1e-9)
 
 
-def test_traffic_keeps_left() -> None:
-    path = path_of("city")
-    turning = np.abs(np.gradient(path.yaw_rad, path.step_m)) > 1e-4
-    straight = ~np.convolve(turning, np.ones(201), mode="same").astype(bool)
-    assert straight.sum() > 2000
-    np.testing.assert_allclose(path.link_offset_m[straight], 1.75, atol=1e-6)
-
-
 def test_a_changed_road_is_higher_by_its_offset_and_nothing_else_is() -> None:
     base = make_district("city", 5, changed_roads={})
     one, other = np.unique(base.path().link_id)[[1, 2]].tolist()

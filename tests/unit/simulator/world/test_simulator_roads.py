@@ -38,17 +38,6 @@ def test_place_undoes_going_along_and_across_a_link(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_centre_lines_have_length_one_a_metre_and_turn_as_their_yaw(kind: Kind) -> None:
-    for link in range(len(roads(kind).link_id)):
-        s = np.arange(0.0, roads(kind).length_m[link], 0.01)
-        east, north, yaw = roads(kind).centre_line(link, s)
-        np.testing.assert_allclose(np.hypot(np.diff(east), np.diff(north)), 0.01, rtol=1e-5)
-        middle = 0.5 * (yaw[1:] + yaw[:-1])
-        ahead = np.cos(middle) * np.diff(east) + np.sin(middle) * np.diff(north)
-        np.testing.assert_allclose(ahead, 0.01, rtol=1e-5)
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_a_surface_has_no_seams_and_no_steps(kind: Kind) -> None:
     rng = np.random.default_rng(1)
     made = roads(kind)
@@ -102,7 +91,7 @@ def test_a_left_turn_is_tighter_than_a_right_turn_and_both_keep_left() -> None:
         b.straight(other, "c", LinkKind())
     made = b.roads(FLAT)
     for out, radius in ((1, 9.0), (2, 13.0)):
-        path = route_path(made, [Leg(0, True), Leg(out, False)], start_m=10.0, end_m=10.0)
+        path = route_path(made, [Leg(0, True), Leg(out, False)], {}, start_m=10.0, end_m=10.0)
         tightest = 1.0 / np.abs(np.gradient(path.yaw_rad, 0.1)).max()
         assert tightest == pytest.approx(radius, abs=0.3)
         np.testing.assert_allclose(path.link_offset_m[[0, -1]], 1.75, atol=1e-9)
@@ -123,9 +112,9 @@ def test_links_that_do_not_fit_are_refused() -> None:
         b.straight(start, end, LinkKind())
     made = b.roads(FLAT)
     with pytest.raises(ValueError, match="does not begin where"):
-        route_path(made, [Leg(0, True), Leg(2, True)])
+        route_path(made, [Leg(0, True), Leg(2, True)], {})
     with pytest.raises(ValueError, match="too short for the turns"):
-        route_path(made, [Leg(0, True), Leg(1, True), Leg(2, True)])
+        route_path(made, [Leg(0, True), Leg(1, True), Leg(2, True)], {})
 
 
 def test_the_terrain_is_no_steeper_than_asked_for() -> None:

@@ -39,37 +39,27 @@ def random_rays(rng: np.random.Generator, count: int, extent_m: float = 90.0) ->
     return origin, unit(direction)
 
 
-# -- an independent oracle: half spaces, quadrics and planes, over all shapes at once ----------------------------
-
-
 def oracle_spans(shapes: Shapes, origin: Floats, direction: Floats) -> dict[str, tuple[Floats, Floats]]:
-    """Spans (rays, shapes) inside each solid."""
-    spans = {}
+    """Spans (rays, shapes) inside each solid, by half spaces and quadrics over all shapes at once."""
+    boxes, cylinders, crowns = shapes.boxes_m, shapes.cylinders_m, shapes.crowns_m
+    c, s, zero, one = np.cos(boxes[:, 6]), np.sin(boxes[:, 6]), np.zeros(len(boxes)), np.ones(len(boxes))
+    axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1)
+    faces = np.concatenate((axes, -axes), axis=1)
+    centre = boxes[:, :3] + boxes[:, 5:6] * (0.0, 0.0, 0.5)
+    reach = np.tile(boxes[:, 3:6] * (1.0, 1.0, 0.5), 2)
+    caps = np.tile([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], (len(cylinders), 1, 1))
+    ends = np.column_stack((cylinders[:, 2] + cylinders[:, 4], -cylinders[:, 2]))
+    flat = np.tile([1.0, 1.0, 0.0], (len(cylinders), 1))
+    stretch = np.column_stack((np.ones((len(crowns), 2)), crowns[:, 3] / crowns[:, 4]))
     with np.errstate(divide="ignore", invalid="ignore"):
-        normals, offsets = [], []
-        for e, n, base, half_length, half_width, height, yaw in shapes.boxes_m:
-            u = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-            v = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-            w = np.array([0.0, 0.0, 1.0])
-            centre = np.array([e, n, base + 0.5 * height])
-            faces = [
-                (s * a, r) for a, r in ((u, half_length), (v, half_width), (w, 0.5 * height)) for s in (1, -1)
-            ]
-            normals.append([a for a, _ in faces])
-            offsets.append([a @ centre + r for a, r in faces])
-        normal, offset = np.array(normals), np.array(offsets)  # (shapes, 6, 3), (shapes, 6)
-        spans["boxes"] = half_spaces(normal, offset, origin, direction)
-        cylinders = shapes.cylinders_m
-        caps = np.tile(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), (len(cylinders), 1, 1))
-        ends = np.column_stack((cylinders[:, 2] + cylinders[:, 4], -cylinders[:, 2]))
+        offset = np.einsum("sfk,sk->sf", faces, centre) + reach
         low, high = half_spaces(caps, ends, origin, direction)
-        scale = np.tile(np.array([1.0, 1.0, 0.0]), (len(cylinders), 1))
-        side = quadric(cylinders[:, :3], cylinders[:, 3], scale, origin, direction)
-        spans["cylinders"] = np.maximum(low, side[0]), np.minimum(high, side[1])
-        crowns = shapes.crowns_m
-        stretch = np.column_stack((np.ones((len(crowns), 2)), crowns[:, 3] / crowns[:, 4]))
-        spans["crowns"] = quadric(crowns[:, :3], crowns[:, 3], stretch, origin, direction)
-    return spans
+        side = quadric(cylinders[:, :3], cylinders[:, 3], flat, origin, direction)
+        return {
+            "boxes": half_spaces(faces, offset, origin, direction),
+            "cylinders": (np.maximum(low, side[0]), np.minimum(high, side[1])),
+            "crowns": quadric(crowns[:, :3], crowns[:, 3], stretch, origin, direction),
+        }
 
 
 def half_spaces(normal: Floats, offset: Floats, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
@@ -172,7 +162,7 @@ def test_metres_of_crowns_are_those_of_points_counted_along_the_ray(seed: int) -
     rng = np.random.default_rng(200 + seed)
     shapes = random_shapes(rng, count=30, extent_m=15.0)
     origin, direction = random_rays(rng, 150, 20.0)
-    steps = (np.arange(6000) + 0.5) * 0.01
+    steps = (np.arange(2000) + 0.5) * 0.01
     crowns = shapes.crowns_m
     counted = np.zeros(len(origin))
     for i in range(len(origin)):
@@ -183,81 +173,8 @@ def test_metres_of_crowns_are_those_of_points_counted_along_the_ray(seed: int) -
             inside |= plan2 + (p[:, 2] - up) ** 2 / vertical**2 < 1.0
         counted[i] = inside.sum() * 0.01
     assert (counted > 5.0).sum() > 10
-    metres = ShapeTracer(shapes).through_crowns_m(origin, direction, 60.0)
+    metres = ShapeTracer(shapes).through_crowns_m(origin, direction, 20.0)
     np.testing.assert_allclose(metres, counted, atol=0.05)
-
-
-# -- closed forms ----------------------------------------------------------------------------------------------------
-
-
-def beams(count: int = 720, elevations_rad: tuple[float, ...] = (-0.4, -0.2, -0.05, 0.1)) -> Floats:
-    azimuth, elevation = np.meshgrid(
-        np.linspace(-np.pi, np.pi, count, endpoint=False), np.array(elevations_rad)
-    )
-    a, e = azimuth.ravel(), elevation.ravel()
-    return np.column_stack((np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)))
-
-
-def test_a_sloped_plane_is_met_at_the_height_over_the_rate_of_descent() -> None:
-    def on_plane(e: float, n: float) -> tuple[float, float, float]:
-        return e, n, 3.0 + 0.08 * e - 0.02 * n
-
-    a, b, c, d = (on_plane(e, n) for e, n in ((-500, -500), (500, -500), (500, 500), (-500, 500)))
-    tracer = ShapeTracer(Shapes.of(triangles=np.array([[a, b, c], [a, c, d]])))
-    direction = beams(elevations_rad=(-0.5, -0.3))
-    origin = np.tile((1.0, 2.0, 5.0), (len(direction), 1))
-    gap = 5.0 - (3.0 + 0.08 * 1.0 - 0.02 * 2.0)
-    expected = gap / (0.08 * direction[:, 0] - 0.02 * direction[:, 1] - direction[:, 2])
-    hits = tracer.first_hits(origin, direction, 100.0)
-    np.testing.assert_allclose(hits.distance_m, expected, atol=1e-9)
-    normal = np.array([-0.08, 0.02, 1.0]) / np.sqrt(1.0 + 0.08**2 + 0.02**2)
-    np.testing.assert_allclose(hits.normal, np.tile(normal, (len(direction), 1)), atol=1e-12)
-
-
-def test_a_turned_wall_is_met_at_its_distance_over_the_cosine() -> None:
-    yaw, away = 0.7, 12.0
-    across = np.array([-np.sin(yaw), np.cos(yaw)])
-    centre = across * (away + 2.0)
-    tracer = ShapeTracer(Shapes.of(boxes=[(centre[0], centre[1], 0.0, 400.0, 2.0, 300.0, yaw)]))
-    direction = beams(elevations_rad=(0.05, 0.3))
-    origin = np.tile((0.0, 0.0, 1.5), (len(direction), 1))
-    towards = direction[:, :2] @ across
-    expected = np.where(towards > 0.1, away / np.where(towards > 0.1, towards, 1.0), np.inf)
-    hits = tracer.first_hits(origin, direction, 150.0)
-    looked = (towards > 0.1) & (expected < 150.0)
-    np.testing.assert_allclose(hits.distance_m[looked], expected[looked], atol=1e-9)
-    np.testing.assert_allclose(hits.normal[looked, :2], np.tile(-across, (looked.sum(), 1)), atol=1e-12)
-    assert not tracer.blocked(origin[towards < 0], direction[towards < 0], 150.0).any()
-
-
-def test_a_pole_is_met_on_its_circle_and_on_its_top() -> None:
-    radius, away, height = 0.15, 7.0, 4.0
-    tracer = ShapeTracer(Shapes.of(cylinders=[(away, 0.0, 0.0, radius, height)]))
-    angle = np.linspace(-0.02, 0.02, 41)
-    direction = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(41)))
-    hits = tracer.first_hits(np.tile((0.0, 0.0, 2.0), (41, 1)), direction, 50.0)
-    expected = away * np.cos(angle) - np.sqrt(radius**2 - (away * np.sin(angle)) ** 2)
-    np.testing.assert_allclose(hits.distance_m, expected, atol=1e-9)
-    down = tracer.first_hits(np.array([[away + 0.1, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]), 50.0)
-    assert (down.distance_m[0], down.normal[0].tolist()) == (9.0 - height, [0.0, 0.0, 1.0])
-    assert down.material[0] == Material.POLE
-
-
-def test_a_sphere_is_met_at_the_root_of_its_quadratic_and_lets_satellites_through() -> None:
-    tracer = ShapeTracer(Shapes.of(crowns=[(10.0, 0.0, 5.0, 3.0, 3.0)]))
-    impact = np.linspace(0.0, 2.999, 50)
-    origin = np.column_stack((np.zeros(50), impact, np.full(50, 5.0)))
-    direction = np.tile((1.0, 0.0, 0.0), (50, 1))
-    hits = tracer.first_hits(origin, direction, 50.0)
-    np.testing.assert_allclose(hits.distance_m, 10.0 - np.sqrt(9.0 - impact**2), atol=1e-9)
-    chord = tracer.through_crowns_m(origin, direction, 50.0)
-    np.testing.assert_allclose(chord, 2.0 * np.sqrt(9.0 - impact**2), atol=1e-9)
-    assert not tracer.blocked(origin, direction, 50.0).any()
-    half = tracer.through_crowns_m(origin[:1], direction[:1], 10.0)
-    np.testing.assert_allclose(half, 3.0, atol=1e-9)
-
-
-# -- properties ------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -311,12 +228,6 @@ def test_an_empty_district_stops_nothing() -> None:
     assert np.isinf(tracer.first_hits(origin, direction, 100.0).distance_m).all()
     assert not tracer.blocked(origin, direction, 100.0).any()
     assert not tracer.through_crowns_m(origin, direction, 100.0).any()
-
-
-def test_what_is_beyond_the_range_is_not_there() -> None:
-    tracer = ShapeTracer(Shapes.of(boxes=[(20.0, 0.0, 0.0, 1.0, 1.0, 5.0, 0.0)]))
-    ray = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]])
-    assert [bool(tracer.blocked(*ray, reach)[0]) for reach in (18.99, 19.01)] == [False, True]
 
 
 def test_rays_of_the_wrong_shape_are_refused() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from camber.formats.drive.truth_csv import TruthTable
 from camber.replay.one_process import DriveOutput, ReportedIssue
-from camber.simulator.faults.schedule import Fault
+from camber.simulator.faults import Fault
 from camber.validation.evidence import command as evidence
 from camber.validation.evidence.faults import (
     NAMED_BY,
@@ -101,20 +101,11 @@ def test_blocks_of_several_drives_stand_one_after_the_other() -> None:
 
 def truth_with(**faults: list[float]) -> TruthTable:
     n = len(next(iter(faults.values())))
-    zero = np.zeros(n)
+    place = dict.fromkeys(("latitude_rad", "longitude_rad", "height_m"), np.zeros(n))
+    level = dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), np.zeros(n))
     more = {name: np.array(values) for name, values in faults.items()}
-    return TruthTable(
-        time_ns=np.arange(n, dtype=np.int64) * NS,
-        latitude_rad=zero,
-        longitude_rad=zero,
-        height_m=zero,
-        roll_rad=zero,
-        pitch_rad=zero,
-        yaw_rad=zero,
-        velocity_enu_m_s=np.zeros((n, 3)),
-        fix_state=None,
-        more=more,
-    )
+    times = np.arange(n, dtype=np.int64) * NS
+    return TruthTable(time_ns=times, **place, **level, velocity_enu_m_s=np.zeros((n, 3)), more=more)
 
 
 def test_each_time_that_a_fault_acts_is_a_window_in_the_order_of_time() -> None:

@@ -15,15 +15,12 @@ LEVEL |= {"median_level_m": 1.25, "median_error_m": 0.25, "ratio": 5.0}
 
 def judged(confirmed_wrong: int = 0, kept: float = 0.99, missed: int = 0) -> dict[str, Any]:
     return {
-        "confirmed": 1600 + confirmed_wrong,
         "confirmed_wrong": confirmed_wrong,
         "right": 1000,
         "right_kept": kept,
         "right_erroneous": 2,
         "episodes": 30,
         "missed": missed,
-        "cautious": 20,
-        "cautious_missed": missed,
     }
 
 
@@ -31,17 +28,13 @@ def nagoya(seed: int, sigma_m: float = 0.05, wrong_at_s: tuple[float, ...] = ())
     wrong_epochs = [
         {
             "at_s": at_s,
-            "error_m": 0.6,
             "fix_error_enu_m": [0.1, -0.17, -0.49],
             "word": "confirmed",
             "evidence": ["height"],
             "height_difference_m": 0.187,
-            "tolerance_m": 0.2,
             "position_difference_m": None,
             "joint_distance2": 12.3,
-            "joint_limit": 27.6,
             "correction_m": 0.01,
-            "trials": 1,
         }
         for at_s in wrong_at_s
     ]
@@ -72,7 +65,6 @@ def drive(seed: int) -> dict[str, Any]:
         "fixed": 100,
         "wrong": 5,
         "confirmed_wrong": 0,
-        "right": 90,
         "right_kept": 0.9,
         "usable": 0.5,
         "levels": {"sensors": {"hpl": LEVEL, "vpl": LEVEL | {"epochs": 0}}},
@@ -113,7 +105,6 @@ def faults() -> dict[str, Any]:
         "sweeps": 0,
         "wrong": 88,
         "confirmed_wrong": 0,
-        "right": 4000,
         "right_kept": 0.9,
         "faults": [
             {"kind": "wrong_base", "named_by": "cause base", "named_after_s": 0.4, **row},

@@ -58,10 +58,6 @@ def test_the_ellipse_of_a_normal_error_holds_what_its_margin_makes_of_it() -> No
     )
 
 
-def test_an_error_larger_than_claimed_lowers_the_coverage() -> None:
-    assert np.mean(np.hypot(*bounds(_normal(2_000, 0.08, 1.3)).in_99.T) <= 1.0) < 0.97
-
-
 def test_ellipses_turn_with_their_covariance() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     covariance = turn @ np.diag([0.3**2, 0.05**2]) @ turn.T

@@ -1,34 +1,33 @@
-"""What goes wrong in a simulated drive, when and by how much; each fault's onset and end stand in the truth.
+"""What goes wrong in a simulated drive, when and by how much, and what that does to signals and to a vehicle.
 
-Times are seconds after the first epoch. A fault acts from its onset (inclusive) to its end (exclusive); without an
-end, to the end of the drive.
+Each fault's onset and end stand in the truth. Times are seconds after the first epoch. A fault acts from its onset
+(inclusive) to its end (exclusive); without an end, to the end of the drive.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.schemas.base import Model
 from camber.schemas.channels import SERVICES
-from camber.simulator.scene import Booleans, Floats
+from camber.simulator.scene import Booleans, Floats, Integers
 
 Metres = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
 MetresPerSecond = Annotated[float, Field(ge=-10.0, le=10.0)]
-_LIMITS = {"radius_change_m": (-0.1, 0.1), "load_kg": (0.0, 2_000.0), "factor": (0.0, 3.0)}
-
-
-def _limited(name: str, description: str) -> Any:
-    least, most = _LIMITS[name]
-    return Field(ge=least, le=most, description=description)
+_LAST_S = 86_400.0  # the latest time of a schedule
+_JAMMING_RAMP_S = 2.0  # chosen: a jammer comes nearer and goes away
+_RAMP_S = 0.5  # chosen: a fault of the vehicle is no jolt
 
 
 class _Scheduled(Model):
-    onset_s: Annotated[float, Field(ge=0.0, le=86_400.0)] = Field(description="from here, seconds")
+    onset_s: float = Field(ge=0.0, le=86_400.0, description="from here, seconds")
     end_s: Annotated[float, Field(gt=0.0, le=86_400.0)] | None = Field(
         default=None, description="to here, seconds; unset: to the end"
     )
@@ -59,42 +58,42 @@ class WrongMap(_Scheduled):
     """The map's heights are wrong by this much where the vehicle drives in this time."""
 
     kind: Literal["wrong_map"]
-    offset_m: Annotated[float, Field(ge=-10.0, le=10.0)] = Field(description="map less road, metres")
+    offset_m: float = Field(ge=-10.0, le=10.0, description="map less road, metres")
 
 
 class ChangedRoad(_Scheduled):
     """The road has been raised or lowered since the survey where the vehicle drives in this time."""
 
     kind: Literal["changed_road"]
-    offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(description="road now less road then, metres")
+    offset_m: float = Field(ge=-0.5, le=0.5, description="road now less road then, metres")
 
 
 class ChangedTyre(_Scheduled):
     """Another tyre, or one that loses air."""
 
     kind: Literal["changed_tyre"]
-    radius_change_m: float = _limited("radius_change_m", "metres")
+    radius_change_m: float = Field(ge=-0.1, le=0.1, description="metres")
 
 
 class ChangedLoad(_Scheduled):
     """The vehicle is loaded: the suspension sinks, the tyres too."""
 
     kind: Literal["changed_load"]
-    load_kg: float = _limited("load_kg", "kilograms in the boot")
+    load_kg: float = Field(ge=0.0, le=2_000.0, description="kilograms in the boot")
 
 
 class WheelSlip(_Scheduled):
     """The wheels turn faster than the vehicle drives, or slide."""
 
     kind: Literal["wheel_slip"]
-    factor: float = _limited("factor", "wheel speed by speed over ground")
+    factor: float = Field(ge=0.0, le=3.0, description="wheel speed by speed over ground")
 
 
 class BlockedLidar(_Scheduled):
     """Something hides a part of the surround sensor's view."""
 
     kind: Literal["blocked_lidar"]
-    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(description="of its directions")
+    share: float = Field(gt=0.0, le=1.0, description="of its directions")
 
 
 class SymmetricScene(_Scheduled):
@@ -116,14 +115,14 @@ class Jamming(_Scheduled):
     """Noise drowns the satellites."""
 
     kind: Literal["jamming"]
-    loss_db: Annotated[float, Field(gt=0.0, le=60.0)] = Field(description="of C/N0")
+    loss_db: float = Field(gt=0.0, le=60.0, description="of C/N0")
 
 
 class TimeJump(_Scheduled):
     """The receiver's clock is off by this much."""
 
     kind: Literal["time_jump"]
-    offset_s: Annotated[float, Field(ge=-86_400.0, le=86_400.0)] = Field(description="receiver less GPS time")
+    offset_s: float = Field(ge=-86_400.0, le=86_400.0, description="receiver less GPS time")
 
 
 class RepeatedEpochs(_Scheduled):
@@ -176,23 +175,80 @@ def until(faults: Sequence[Fault], duration_s: float) -> list[Fault]:
     return [f if f.end_s is not None else f.model_copy(update={"end_s": duration_s}) for f in faults]
 
 
+AMOUNTS: dict[type[ChangedTyre | ChangedLoad | WheelSlip], tuple[str, float]] = {
+    ChangedTyre: ("radius_change_m", 0.0),
+    ChangedLoad: ("load_kg", 0.0),
+    WheelSlip: ("factor", 1.0),
+}
+"""Of the kinds that add up while they act together: the field that is the amount, and the value that does nothing."""
+
+
 def refused_sum(faults: tuple[Fault, ...]) -> str | None:
     """Where several of one kind act at once the vehicle feels their sum: the error in it, or None.
 
     The sum keeps the limits of a single one, which leave every tyre a radius.
     """
-    for kind, name, normal in (
-        ("changed_tyre", "radius_change_m", 0.0),
-        ("changed_load", "load_kg", 0.0),
-        ("wheel_slip", "factor", 1.0),
-    ):
-        of_this_kind = [fault for fault in faults if fault.kind == kind]
-        least, most = _LIMITS[name]
+    for kind, (name, none) in AMOUNTS.items():
+        of_this_kind = of_kind(faults, kind)
+        at_least, at_most = kind.model_fields[name].metadata
+        least, most = at_least.ge, at_most.le
         edges = {time_s for f in of_this_kind for time_s in (f.onset_s, f.end_s) if time_s is not None}
         for at_s in sorted(edges):
             acting = [f for f in of_this_kind if f.acts(np.array([at_s]))[0]]
-            together = normal + sum(getattr(f, name) - normal for f in acting)
+            together = none + sum(getattr(f, name) - none for f in acting)
             if not least - 1e-9 <= together <= most + 1e-9:
-                acts = f"{len(acting)} {kind} act at {at_s:g} s with {name} {together:.6g} together"
+                acts = f"{len(acting)} {acting[0].kind} act at {at_s:g} s with {name} {together:.6g} together"
                 return f"{acts}, expected {least:g} to {most:g}"
     return None
+
+
+def _span_ns(fault: Jamming | Spoofing, time_ns: Integers) -> tuple[int, int]:
+    end_s = _LAST_S if fault.end_s is None else fault.end_s
+    begin_ns, end_ns = (int(time_ns[0]) + round(s * NS_PER_SECOND) for s in (fault.onset_s, end_s))
+    return begin_ns, end_ns
+
+
+def cn0_loss_db(faults: Sequence[Fault], time_ns: Integers) -> Floats:
+    """How much jamming takes from C/N0 of all signals (n,), over two seconds at each end.
+
+    Onsets count from the first of the times; a fault without an end lasts beyond the last.
+    """
+    loss = np.zeros(len(time_ns))
+    for fault in of_kind(faults, Jamming):
+        begin_ns, end_ns = _span_ns(fault, time_ns)
+        inside_s = np.minimum(time_ns - begin_ns, end_ns - time_ns) / NS_PER_SECOND
+        loss += fault.loss_db * np.clip(inside_s / _JAMMING_RAMP_S, 0.0, 1.0)
+    return loss
+
+
+def antenna_offset_m(faults: Sequence[Fault], time_ns: Integers) -> tuple[Floats, Floats]:
+    """How far (n, 3) [m] off the true antenna spoofed signals put it, and how fast [m/s]; it comes back at the end."""
+    offset, rate = np.zeros((2, len(time_ns), 3))
+    for fault in of_kind(faults, Spoofing):
+        begin_ns, end_ns = _span_ns(fault, time_ns)
+        drift_m_s = np.array((fault.east_m_s, fault.north_m_s, fault.up_m_s))
+        on = (time_ns >= begin_ns) & (time_ns < end_ns)
+        offset += np.where(on, (time_ns - begin_ns) / NS_PER_SECOND, 0.0)[:, None] * drift_m_s
+        rate += on[:, None] * drift_m_s
+    return offset, rate
+
+
+def vehicle_effect(
+    faults: Sequence[Fault], kind: type[ChangedTyre | ChangedLoad | WheelSlip], time_s: Floats
+) -> tuple[Floats, Floats]:
+    """The sum of all faults of a kind at times (n,) since the beginning, and its derivative by time.
+
+    Metres by which all tyres' radius is greater, kilograms in the boot, or the share by which the wheels turn faster
+    than they roll. Comes and goes over half a second, within onset and end; ValueError where that does not fit.
+    """
+    field, none = AMOUNTS[kind]
+    value, rate = np.zeros(len(time_s)), np.zeros(len(time_s))
+    for fault in of_kind(faults, kind):
+        amount, end_s = getattr(fault, field) - none, math.inf if fault.end_s is None else fault.end_s
+        if not end_s - fault.onset_s >= 2.0 * _RAMP_S:
+            raise ValueError(f"{fault.kind}: end_s is {end_s}, expected two ramps after {fault.onset_s}")
+        for sign, start_s in ((1.0, fault.onset_s), (-1.0, end_s - _RAMP_S)):
+            share = np.clip((time_s - start_s) / _RAMP_S, 0.0, 1.0)
+            value += sign * amount * share**2 * (3.0 - 2.0 * share)
+            rate += sign * amount * 6.0 * share * (1.0 - share) / _RAMP_S
+    return value, rate

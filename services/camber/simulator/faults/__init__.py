@@ -1,1 +1,0 @@
-"""Faults of a simulated drive: their schedule, of the radio, of the vehicle."""
