@@ -41,8 +41,7 @@ class _Scheduled(Model):
     def acts(self, time_s: Floats) -> Booleans:
         """At which of these times it acts."""
         end_s = np.inf if self.end_s is None else self.end_s
-        acts: Booleans = (time_s >= self.onset_s) & (time_s < end_s)
-        return acts
+        return (time_s >= self.onset_s) & (time_s < end_s)
 
 
 class WrongBase(_Scheduled):

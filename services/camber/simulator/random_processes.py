@@ -30,8 +30,7 @@ def _gauss_markov(white: Floats, memory: Floats) -> Floats:
 
 def memory_of(step: Floats, scale: float) -> Floats:
     """exp(−step / scale): of steps in time or distance (n,)."""
-    memory: Floats = np.exp(-np.abs(step) / scale)
-    return memory
+    return np.exp(-np.abs(step) / scale)
 
 
 def switched(keep: Floats, draw: Floats, memory: Floats, share: Floats) -> Booleans:

@@ -44,8 +44,7 @@ def klobuchar_m(
     slant = 1.0 + 16.0 * (0.53 - el) ** 3
     # The cosine itself: the document's series jumps by 2 % of the amplitude at the edge of night, the sky does not.
     day = np.where(np.abs(x) < 0.5 * np.pi, amplitude * np.cos(x), 0.0)
-    delay: Floats = SPEED_OF_LIGHT_M_S * slant * (5.0e-9 + day)
-    return delay
+    return SPEED_OF_LIGHT_M_S * slant * (5.0e-9 + day)
 
 
 def saastamoinen_m(latitude_rad: Floats, height_m: Floats, elevation_rad: Floats, humidity: float) -> Floats:
@@ -57,15 +56,13 @@ def saastamoinen_m(latitude_rad: Floats, height_m: Floats, elevation_rad: Floats
     zenith = 0.5 * np.pi - elevation_rad
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * latitude_rad) - 0.00028 * height * 1e-3)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
-    total: Floats = (dry + wet)[:, None] / np.cos(zenith)
-    return total
+    return (dry + wet)[:, None] / np.cos(zenith)
 
 
 def shell_mapping(elevation_rad: Floats) -> Floats:
     """Slant to vertical in a thin shell at 350 km: 1 / cos z′."""
     ratio = _EARTH_M / (_EARTH_M + _SHELL_M) * np.cos(elevation_rad)
-    mapping: Floats = 1.0 / np.sqrt(1.0 - ratio**2)
-    return mapping
+    return 1.0 / np.sqrt(1.0 - ratio**2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

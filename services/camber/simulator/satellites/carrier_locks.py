@@ -53,8 +53,7 @@ def locks(
     began = np.maximum.accumulate(np.where(begins, row, 0), axis=0)
 
     def at_beginning(values: Floats) -> Floats:
-        taken: Floats = np.take_along_axis(values, began, axis=0)
-        return taken
+        return np.take_along_axis(values, began, axis=0)
 
     whole = at_beginning(rng.integers(-500, 500, tracked.shape).astype(np.float64))
     jumps = np.where(unseen, rng.choice(np.array([-2.0, -1.0, 1.0, 2.0]), tracked.shape), 0.0)

@@ -205,8 +205,7 @@ def _phase_error_m(signals: SimulatedSignals) -> Floats:
     """With the half cycle that is off, if any: whole cycles belong to the integers."""
     cycles = signals.locks.ambiguity_cycles
     off = cycles - np.floor(cycles)
-    error: Floats = signals.levels.phase_error_m + off * SPEED_OF_LIGHT_M_S / signals.carrier_hz
-    return error
+    return signals.levels.phase_error_m + off * SPEED_OF_LIGHT_M_S / signals.carrier_hz
 
 
 def _at_base(base: SimulatedSignals, rover: SimulatedSignals) -> tuple[Booleans, Floats, Floats]:

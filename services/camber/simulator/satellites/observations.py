@@ -159,8 +159,7 @@ def _rising(
     rows = np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _LOOK_NS))
     every = np.unique(np.append(rows, len(time_ns) - 1))
     coarse = ranges(OrbitTable.of(sets), (time_ns[every], clock_s[every]), track.rows(every), frame)
-    rising: list[int] = np.flatnonzero(np.max(coarse.elevation_rad, axis=0) >= lowest_rad).tolist()
-    return rising
+    return np.flatnonzero(np.max(coarse.elevation_rad, axis=0) >= lowest_rad).tolist()
 
 
 def _signals_of(satellite: Integers, parameters: SignalParameters) -> tuple[Integers, Floats, Booleans]:

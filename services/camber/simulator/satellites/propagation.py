@@ -151,5 +151,4 @@ def _enclosure(antenna_m: Floats, tracer: ShapeTracer) -> Floats:
     origins = np.repeat(antenna_m[chosen], len(rays), axis=0)
     blocked = tracer.blocked(origins, np.tile(rays, (len(chosen), 1)), _SKY_M)
     share = np.mean(blocked.reshape(len(chosen), len(rays)), axis=1)
-    enclosure: Floats = np.interp(driven_m, driven_m[chosen], share)
-    return enclosure
+    return np.interp(driven_m, driven_m[chosen], share)

@@ -133,5 +133,4 @@ def levels(
 def _edge_loss_db(bent_rad: Floats, edge_m: Floats, carrier_hz: Floats) -> Floats:
     scale = 2.0 * np.nan_to_num(edge_m)[..., None] * carrier_hz / SPEED_OF_LIGHT_M_S
     nu = np.nan_to_num(bent_rad)[..., None] * np.sqrt(scale)
-    loss: Floats = 6.9 + 20.0 * np.log10(np.sqrt((nu - 0.1) ** 2 + 1.0) + nu - 0.1)
-    return loss
+    return 6.9 + 20.0 * np.log10(np.sqrt((nu - 0.1) ** 2 + 1.0) + nu - 0.1)

@@ -115,5 +115,4 @@ def integers_at(shift_m: Floats, offset_cycles: Floats, known: Booleans, signals
 def _references(groups: Integers) -> Integers:
     """For each signal the first one of its group."""
     _, first, inverse = np.unique(groups, return_index=True, return_inverse=True)
-    reference: Integers = first[inverse.ravel()]
-    return reference
+    return first[inverse.ravel()]

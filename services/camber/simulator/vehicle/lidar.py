@@ -131,8 +131,7 @@ def _unseen(fault: Fault, in_sensor: Floats, material: Integers) -> Booleans:
     if isinstance(fault, SymmetricScene):
         return np.asarray((material != Material.ROAD) & (material != Material.GROUND))
     share = fault.share if isinstance(fault, BlockedLidar) else 0.0
-    unseen: Booleans = np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0])) < share * np.pi
-    return unseen
+    return np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0])) < share * np.pi
 
 
 _SURFACES = np.array([(_REFLECTIVITY[m], _LOST_SHARE.get(m, _LOST_ELSEWHERE)) for m in Material])

@@ -27,8 +27,7 @@ class DriftingClock:
     def stamps(self, time_ns: Integers, start_ns: int) -> Integers:
         """Its readings at true times (n,)."""
         drifted = np.rint(self.drift * (time_ns - start_ns).astype(np.float64)).astype(np.int64)
-        stamped: Integers = time_ns + self.offset_ns + drifted
-        return stamped
+        return time_ns + self.offset_ns + drifted
 
     def sampling(self, start_ns: int, end_ns: int, rate_hz: float) -> tuple[Integers, Integers]:
         """True times (n,) from start to end at which this clock makes a step of the rate, and their stamps.

@@ -55,8 +55,7 @@ def _sheet(points_m: Floats) -> Floats:
     """Two triangles for each cell of a grid of points (rows, columns, 3)."""
     a, b, c, d = points_m[:-1, :-1], points_m[1:, :-1], points_m[1:, 1:], points_m[:-1, 1:]
     cells = np.stack((np.stack((a, b, c), axis=2), np.stack((a, c, d), axis=2)), axis=2)
-    triangles: Floats = cells.reshape(-1, 3, 3)
-    return triangles
+    return cells.reshape(-1, 3, 3)
 
 
 def _across(roads: Roads, link: int, s: Floats, y: Floats) -> tuple[Floats, Floats]:

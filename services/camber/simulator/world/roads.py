@@ -92,8 +92,7 @@ class Roads:
         s, y = self.place(link, east_m, north_m)
         row = np.array(np.broadcast_to(link, s.shape), np.int64)
         rise = _rises(self.shape, row.ravel(), s.ravel(), y.ravel()).reshape(s.shape)
-        heights: Floats = self.terrain.height_m(east_m, north_m) + rise
-        return heights
+        return self.terrain.height_m(east_m, north_m) + rise
 
     def centre_line(self, link: int, s_m: Floats) -> tuple[Floats, Floats, Floats]:
         """East, north, yaw (n,) of the centre line of one link at s."""

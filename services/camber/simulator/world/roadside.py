@@ -147,8 +147,7 @@ def _overlap(box: Floats, others: Floats) -> Booleans:
     def reach(row: Floats, c: Floats, s: Floats) -> Floats:
         turn = row[..., 6]
         across = np.abs(np.cos(turn) * c + np.sin(turn) * s) * row[..., 3]
-        result: Floats = across + np.abs(np.cos(turn) * s - np.sin(turn) * c) * row[..., 4]
-        return result
+        return across + np.abs(np.cos(turn) * s - np.sin(turn) * c) * row[..., 4]
 
     for yaw in (np.full(len(others), box[6]), others[:, 6]):
         for c, s in ((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))):

@@ -172,8 +172,7 @@ def _arc(end: _LaneEnd, begin: _LaneEnd) -> Floats:
     angle = np.linspace(0.0, abs(turn), max(3, int(radius * abs(turn) / 0.02)))[1:-1]
     left = np.array([-ahead[1], ahead[0]])
     forward, sideways = radius * np.sin(angle), side * radius * (1 - np.cos(angle))
-    arc: Floats = start + np.outer(forward, ahead) + np.outer(sideways, left)
-    return arc
+    return start + np.outer(forward, ahead) + np.outer(sideways, left)
 
 
 def _fine(line_m: Floats, leg_of: Integers) -> tuple[Floats, Integers]:

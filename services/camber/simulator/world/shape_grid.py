@@ -111,8 +111,7 @@ def _box_outlines(boxes: Floats) -> Floats:
 def _round_outlines(solids: Floats) -> Floats:
     """Squares about cylinders and crowns."""
     signs = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-    outlines: Floats = solids[:, None, :2] + signs * solids[:, None, 3:4]
-    return outlines
+    return solids[:, None, :2] + signs * solids[:, None, 3:4]
 
 
 def _cell_lists(outline_m: Floats, span_m: Floats, grid: Grid) -> CellLists:

@@ -86,8 +86,7 @@ def requirements(figures: dict[str, Any]) -> Iterator[tuple[str, str, str, bool]
 def _threshold(figures: dict[str, Any], kind: str, pose_sigma_m: float, beyond_m: float) -> dict[str, Any]:
     for row in figures["missed"]:
         if (row["kind"], row["pose_sigma_m"], row["map_sigma_m"]) == (kind, pose_sigma_m, 0.05):
-            matching: dict[str, Any] = next(t for t in row["thresholds"] if t["beyond_m"] == beyond_m)
-            return matching
+            return next(t for t in row["thresholds"] if t["beyond_m"] == beyond_m)
     raise KeyError(f"no scene {kind}, {pose_sigma_m}")
 
 
