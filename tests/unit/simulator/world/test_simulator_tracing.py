@@ -161,7 +161,7 @@ def test_normals_are_unit_vectors_towards_the_origin_and_square_to_the_surface(s
 def test_metres_of_crowns_are_those_of_points_counted_along_the_ray(seed: int) -> None:
     rng = np.random.default_rng(200 + seed)
     shapes = random_shapes(rng, count=30, extent_m=15.0)
-    origin, direction = random_rays(rng, 150, 20.0)
+    origin, direction = random_rays(rng, 300, 20.0)
     steps = (np.arange(2000) + 0.5) * 0.01
     crowns = shapes.crowns_m
     counted = np.zeros(len(origin))
