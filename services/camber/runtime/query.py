@@ -129,20 +129,14 @@ def _replies(channel: Channel, replies: Any, service: str, vehicle: str) -> list
 
 
 def query_once(
-    settings: ServiceSettings,
-    name: str,
-    request: Message,
-    *,
-    service: str,
-    timeout_s: float,
-    source: str = "tools",
+    settings: ServiceSettings, name: str, request: Message, *, service: str, timeout_s: float
 ) -> Any:
     """Join the bus, ask `service` over the query channel `name`, leave; returns the reply.
 
     Raises BusError where the bus cannot be joined, QueryFailed where there is no usable answer, each within about
     `timeout_s`.
     """
-    with QueryClient(settings, timeout_s=timeout_s, source=source) as asker:
+    with QueryClient(settings, timeout_s=timeout_s) as asker:
         (replies,) = asker.ask(name, request, settings.vehicle, [service]).values()
     if isinstance(replies[0], QueryFailed):
         raise replies[0]

@@ -14,6 +14,8 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import Channel
 
+_LIMIT_BYTES = 256 << 20  # chosen: half a minute of sweeps while the disk hangs
+
 
 class RawSample(NamedTuple):
     """One message as it came; `arrival_ns` is this machine's clock, Unix nanoseconds."""
@@ -25,21 +27,15 @@ class RawSample(NamedTuple):
 
 
 class RawSubscription:
-    """Queues what comes on some channels, up to `limit_bytes`; use as a context. Raises BusError.
+    """Queues what comes on some channels, up to 256 MB; use as a context. Raises BusError.
 
     Beyond that the newest is dropped, and `dropped` counts it by channel.
     """
 
     def __init__(
-        self,
-        settings: ServiceSettings,
-        channels: Sequence[Channel],
-        *,
-        limit_bytes: int = 256 << 20,
-        timeout_s: float | None = None,
+        self, settings: ServiceSettings, channels: Sequence[Channel], *, timeout_s: float | None
     ) -> None:
         self.dropped: Counter[str] = Counter()
-        self._limit_bytes = limit_bytes
         self._bytes = 0
         self._items: deque[RawSample] = deque()
         self._lock = threading.Lock()
@@ -68,7 +64,7 @@ class RawSubscription:
         def arrived(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
             with self._lock:
-                if self._bytes + len(data) > self._limit_bytes:
+                if self._bytes + len(data) > _LIMIT_BYTES:
                     self.dropped[name] += 1
                     return
                 self._bytes += len(data)

@@ -162,10 +162,11 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
         return cls(_cli_settings_source=cli, **table), args
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        source_text = _source_of(
-            cls, first["loc"], missing=first["type"] == "missing", argv=rest, path=args.config, table=table
-        )
-        raise ConfigError(f"{source_text}{_one_line(cls, first)}") from None
+        place = [str(part) for part in first["loc"]]
+        if first["type"] == "missing":
+            place.pop()  # the table that it is missing in
+        source_of = _source_of(cls, place, argv=rest, path=args.config, table=table)
+        raise ConfigError(f"{source_of}{_one_line(cls, first)}") from None
     except SettingsError as error:  # a list or a table that cannot be parsed
         raise ConfigError(_not_json(error)) from None
 
@@ -222,32 +223,29 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _source_of(
-    cls: type[ServiceSettings],
-    loc: tuple[int | str, ...],
-    missing: bool,
-    argv: list[str],
-    path: Path | None,
-    table: dict[str, Any],
+    cls: type[ServiceSettings], place: list[str], argv: list[str], path: Path | None, table: dict[str, Any]
 ) -> str:
-    """Where the value comes from, or the table in which it is missing: command line before environment before file."""
-    known = [str(part) for part in (loc[:-1] if missing else loc)]
-    options = {argument.partition("=")[0] for argument in argv if argument.startswith("--")}
-    variables = {name.upper(): name for name in os.environ}
-    if isinstance(_value_in(table, known), dict):  # a rule of several settings, which may come from anywhere
-        inside = "".join(f"{part}." for part in known).replace("_", "-")
-        below = f"{_environment_prefix(cls)}{''.join(f'{part}__' for part in known)}".upper()
-        if any(o.startswith(f"--{inside}") for o in options) or any(v.startswith(below) for v in variables):
-            return ""
-    for n in range(len(known), 0, -1):
-        if f"--{'.'.join(known[:n]).replace('_', '-')}" in options:
-            return ""  # the field is called as the option is
-    for n in range(len(known), 0, -1):
-        variable = f"{_environment_prefix(cls)}{'__'.join(known[:n])}".upper()
-        if variable in variables and (
-            n == len(known) or _is_set_in(os.environ[variables[variable]], known[n:])
-        ):
-            return f"environment: {variables[variable]}: "
-    return f"{path}: " if path is not None and _stands_in(table, loc[: len(known)]) else ""
+    """Where what is at a place comes from: command line before environment before file."""
+    prefix, n = _environment_prefix(cls).lower(), len(place)
+    options = [
+        argument[2:].partition("=")[0].replace("-", "_").split(".")
+        for argument in argv
+        if argument.startswith("--")
+    ]
+    variables = {
+        name: name.lower().removeprefix(prefix).split("__")
+        for name in os.environ
+        if name.lower().startswith(prefix)
+    }
+    above = any(len(at) > n and at[:n] == place for at in (*options, *variables.values()))
+    if above and isinstance(_value_in(table, place), dict):
+        return ""  # a rule of several settings, which come from anywhere
+    if any(at == place[: len(at)] for at in options):
+        return ""  # the field is called as the option is
+    for name, at in sorted(variables.items(), key=lambda item: -len(item[1])):
+        if at == place[: len(at)] and _is_set_in(os.environ[name], place[len(at) :]):
+            return f"environment: {name}: "
+    return f"{path}: " if path is not None and _value_in(table, place) is not None else ""
 
 
 def _one_line(cls: type[BaseModel], first: ErrorDetails) -> str:
@@ -271,28 +269,21 @@ def _not_json(error: SettingsError) -> str:
     return f"environment: {name[1]}: expected JSON for a list or a table: {error.__cause__}"
 
 
-def _value_in(table: dict[str, Any], known: list[str]) -> Any:
-    value: Any = table
-    for part in known:
-        value = value.get(part) if isinstance(value, dict) else None
+def _value_in(value: Any, place: list[str]) -> Any:
+    """What stands at a place of nested tables, or the list that it is an item of; None: nothing."""
+    for part in place:
+        if not isinstance(value, dict) or part not in value:
+            return value if isinstance(value, list) else None
+        value = value[part]
     return value
 
 
-def _is_set_in(text: str, known: list[str]) -> bool:
-    """Does a table, given as JSON, have this setting?"""
+def _is_set_in(text: str, place: list[str]) -> bool:
+    """Does a variable, a table in JSON where the place is inside, have this setting?"""
     try:
-        return _value_in({"": json.loads(text)}, ["", *known]) is not None
+        return not place or _value_in(json.loads(text), place) is not None
     except ValueError:
         return True
-
-
-def _stands_in(table: dict[str, Any], loc: tuple[int | str, ...]) -> bool:
-    value: Any = table
-    for part in loc:
-        if not isinstance(value, dict) or part not in value:
-            return isinstance(value, list)  # an item of a list that stands there
-        value = value[part]
-    return True
 
 
 def _emit(model: BaseModel, prefix: str, lines: list[str]) -> None:

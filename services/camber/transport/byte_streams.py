@@ -42,7 +42,7 @@ class ByteSource(Protocol):
         """Close it."""
 
 
-class FileSource:
+class _FileSource:
     """A file, from its beginning; at its end it is polled for more."""
 
     lossless = True
@@ -53,18 +53,16 @@ class FileSource:
         self._idle = threading.Event()
 
     def read(self) -> bytes:
-        """Return the next bytes."""
         data = self._file.read(CHUNK_BYTES)
         if not data:
             self._idle.wait(0.05)
         return data
 
     def close(self) -> None:
-        """Close it."""
         self._file.close()
 
 
-class SerialSource:
+class _SerialSource:
     """A serial port, opened exclusively: two readers of one port would each get only part of the bytes."""
 
     lossless = False
@@ -74,12 +72,10 @@ class SerialSource:
         self._port = serial.Serial(device, baud_rate, timeout=_READ_S, exclusive=True)
 
     def read(self) -> bytes:
-        """Return the bytes received."""
         data: bytes = self._port.read(max(1, min(self._port.in_waiting, CHUNK_BYTES)))
         return data
 
     def close(self) -> None:
-        """Close it."""
         self._port.close()
 
 
@@ -216,14 +212,14 @@ def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
         return _ntrip_opener(url, ntrip or NtripAccess())
     match kind, rest.rsplit(":", 1):
         case "file", _ if rest:
-            return lambda stop: FileSource(Path(rest))
+            return lambda stop: _FileSource(Path(rest))
         case "tcp", [host, port] if host and "@" not in host and _is_number(port) and int(port) < 65536:
             return lambda stop: TcpConnection(host.strip("[]"), int(port), stop=stop)
         case "serial", [device, baud] if device and _is_number(baud):
-            return lambda stop: SerialSource(device, int(baud))
+            return lambda stop: _SerialSource(device, int(baud))
         # Names below /dev/serial/by-path contain colons.
         case "serial", [*_, last] if rest and not last.isdecimal():
-            return lambda stop: SerialSource(rest, _BAUD_RATE)
+            return lambda stop: _SerialSource(rest, _BAUD_RATE)
     raise ValueError(
         f"{_without_credentials(url)!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD], "
         "or of a caster ntrip://HOST:PORT/MOUNT or ntrips://HOST:PORT/MOUNT"

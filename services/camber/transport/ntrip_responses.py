@@ -29,11 +29,10 @@ class Body(Protocol):
         """Return the bytes of the stream in `data`; ConnectionError where it is malformed or ends."""
 
 
-class PlainBody:
+class _PlainBody:
     """A stream without transfer encoding."""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the same bytes."""
         return data
 
 
@@ -63,7 +62,7 @@ class IcyBody:
         return head.removeprefix(b"\r\n").removeprefix(b"\n") if head[0] in b"\r\n" else head
 
 
-class ChunkedBody:
+class _ChunkedBody:
     """Chunks: a hexadecimal length on a line, that many bytes, a line end. Bytes are returned as they arrive."""
 
     def __init__(self) -> None:
@@ -72,7 +71,6 @@ class ChunkedBody:
         self._after_data = False
 
     def feed(self, data: bytes) -> bytes:
-        """Return the bytes of the stream; ConnectionError for malformed or wrong lengths, and for the last chunk."""
         decoded = bytearray()
         while data:
             if self._left:
@@ -158,7 +156,7 @@ def _parse_http(code: bytes, rest: bytes, with_password: bool) -> tuple[Body, by
         raise RefusedError(
             "the stream is encoded in a way that is not understood; expected chunked or identity"
         )
-    return (ChunkedBody() if encoding == "chunked" else PlainBody()), rest[end.end() :]
+    return (_ChunkedBody() if encoding == "chunked" else _PlainBody()), rest[end.end() :]
 
 
 def _header_fields(head: bytes) -> dict[str, str]:

@@ -38,7 +38,6 @@ class _PacketPort(ABC):
         """Return a bound socket, or raise OSError."""
 
     def close(self) -> None:
-        """Close it."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None

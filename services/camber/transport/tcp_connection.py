@@ -36,7 +36,14 @@ class TcpConnection:
         self._stop = stop
         self._socket = _connected(host, port, stop)
         if tls is not None:
-            self._socket = _secured(self._socket, tls, host, stop)
+            try:
+                self._socket = tls.wrap_socket(
+                    self._socket, server_hostname=host, do_handshake_on_connect=False
+                )
+                _shake_hands(self._socket, stop)
+            except BaseException:
+                self._socket.close()
+                raise
 
     def read(self) -> bytes:
         """Return some bytes; empty where nothing arrived in time. Raises OSError when the peer has gone."""
@@ -97,27 +104,6 @@ def _connected(host: str, port: int, stop: threading.Event) -> socket.socket:
     raise last or OSError(f"{host} has no address")
 
 
-def _secured(raw: socket.socket, tls: ssl.SSLContext, host: str, stop: threading.Event) -> ssl.SSLSocket:
-    try:
-        secured = tls.wrap_socket(raw, server_hostname=host, do_handshake_on_connect=False)
-    except BaseException:
-        raw.close()
-        raise
-    try:
-        _shake_hands(secured, stop)
-        return secured
-    except ssl.SSLCertVerificationError as error:
-        secured.close()
-        raise RefusedError(f"its certificate is not accepted: {error.verify_message}") from None
-    except ssl.SSLError as error:
-        secured.close()
-        problem = "the other side does not speak TLS" if error.reason in _NOT_TLS else "TLS failed"
-        raise RefusedError(f"{problem} ({error.reason or error})") from None
-    except BaseException:
-        secured.close()
-        raise
-
-
 def _shake_hands(secured: ssl.SSLSocket, stop: threading.Event) -> None:
     deadline_s = time.monotonic() + _CONNECT_S
     while True:
@@ -128,6 +114,11 @@ def _shake_hands(secured: ssl.SSLSocket, stop: threading.Event) -> None:
             event = select.POLLIN
         except ssl.SSLWantWriteError:
             event = select.POLLOUT
+        except ssl.SSLCertVerificationError as error:
+            raise RefusedError(f"its certificate is not accepted: {error.verify_message}") from None
+        except ssl.SSLError as error:
+            problem = "the other side does not speak TLS" if error.reason in _NOT_TLS else "TLS failed"
+            raise RefusedError(f"{problem} ({error.reason or error})") from None
         if not _await(secured, event, stop, deadline_s):
             raise TimeoutError(errno.ETIMEDOUT, f"no TLS handshake in {_CONNECT_S:g} s")
 

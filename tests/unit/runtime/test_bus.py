@@ -62,7 +62,6 @@ def test_an_issue_is_counted_and_its_newest_text_and_time_shown() -> None:
         ("source_lost", "second", 2),
     ]
     for issue in bus.issues():
-        assert issue.last_time_ns is not None
         assert abs(SystemClock().now_ns() - issue.last_time_ns) < 10**10
 
 
@@ -211,7 +210,6 @@ def test_of_what_is_large_the_newest_that_can_be_read_waits(size: int) -> None:
         session.receive(arriving(sweep[:-5], encoding))
         session.receive(arriving(sweep, "text/plain"))
     item = bus.pop("sweep")
-    assert item is not None
     assert item.data == sweeps[1]
     assert bus.counters["sweep.overflow"] == 7
     assert bus.pop("sweep") is None
@@ -232,7 +230,6 @@ def test_of_what_is_large_one_that_comes_while_the_last_is_taken_is_handed_out_t
         waiting += 1
     assert waiting == 3
     item = bus.pop("sweep")
-    assert item is not None
     assert item.data == b"3"
 
 

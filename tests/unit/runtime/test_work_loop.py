@@ -103,7 +103,6 @@ sys.exit(run(Slow, ["--zenoh.connect", "[]", "--log-level", "error", *sys.argv[1
 
 def test_a_service_ends_on_request_also_in_the_midst_of_long_work() -> None:
     with subprocess.Popen([sys.executable, "-c", NEVER_ENDING], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"begins\n"
         began_s = time.monotonic()
         process.terminate()
@@ -116,7 +115,6 @@ def test_a_service_that_cannot_close_leaves_the_bus_and_says_so() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", quick], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"begins\n"
         process.terminate()
         _, message = process.communicate(timeout=PATIENCE_S)
@@ -128,7 +126,6 @@ def test_a_service_that_finds_no_router_says_so() -> None:
     nowhere = f'["tcp/127.0.0.1:{free_port()}"]'
     texts = ["--zenoh.connect", nowhere, "--zenoh.mode", "client", "--log-level", "warning"]
     with subprocess.Popen([sys.executable, "-c", NEVER_ENDING, *texts], stderr=subprocess.PIPE) as process:
-        assert process.stderr is not None
         message = process.stderr.readline().decode()
         process.kill()
     assert "waits_for_the_bus" in message

@@ -11,6 +11,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -48,7 +49,6 @@ def test_missing_file_is_reported_and_retried(tmp_path: Path, reader: Reader) ->
     path = tmp_path / "later.pos"
     with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.failures > 0)
-        assert stream.problem is not None
         assert "No such file" in stream.problem
         path.write_bytes(b"here")
         assert reader.until(stream, bool) == b"here"
@@ -89,7 +89,6 @@ def test_refused_connection_is_reported(reader: Reader) -> None:
         port = probe.getsockname()[1]
     with closing(open_stream(f"tcp:127.0.0.1:{port}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.failures > 0)
-        assert stream.problem is not None
         assert "refused" in stream.problem
         assert stream.take() == b""
 
@@ -110,37 +109,25 @@ def test_newest_bytes_are_kept_without_a_consumer(
 
 
 def test_a_serial_port_is_read_byte_for_byte(reader: Reader) -> None:
-    ours, theirs = pty.openpty()
-    tty.setraw(ours)
-    tty.setraw(theirs)
+    ours, device = raw_terminal()
     sent = bytes(range(256)) * 8
-    with closing(open_stream(f"serial:{os.ttyname(theirs)}:115200", on_data=reader.arrived.set)) as stream:
+    with closing(open_stream(f"serial:{device}:115200", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.problem is None)
         os.write(ours, sent)
         assert reader.until(stream, lambda data: len(data) >= len(sent)) == sent
         os.close(ours)
-        os.close(theirs)
         wait_for(lambda: stream.failures > 0)  # unplugged
         assert stream.problem
 
 
 def test_any_exception_of_a_port_is_retried(reader: Reader) -> None:
     faults = iter([ValueError("no such baud rate"), OSError(5, "Input/output error"), RuntimeError()])
+    port = SimpleNamespace(lossless=False, silence_reason="", read=lambda: b"x", close=lambda: None)
 
-    class Port:
-        lossless = False
-        silence_reason = ""
-
-        def read(self) -> bytes:
-            return b"x"
-
-        def close(self) -> None:
-            pass
-
-    def connect(stop: threading.Event) -> Port:
+    def connect(stop: threading.Event) -> SimpleNamespace:
         for fault in faults:
             raise fault
-        return Port()
+        return port
 
     with closing(ByteStream(connect, on_data=reader.arrived.set)) as stream:
         assert reader.until(stream, bool)[:1] == b"x"
@@ -228,19 +215,10 @@ def test_valid_sources_are_parsed_without_opening(url: str) -> None:
 
 
 def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[tuple[str, int]] = []
-
-    def port(device: str, baud_rate: int) -> object:
-        opened.append((device, baud_rate))
-        return object()
-
-    monkeypatch.setattr(byte_streams, "SerialSource", port)
-    parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0:38400")(threading.Event())
-    parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0")(threading.Event())
-    assert opened == [
-        ("/dev/serial/by-path/usb-0:1.0-port0", 38_400),
-        ("/dev/serial/by-path/usb-0:1.0-port0", 115_200),
-    ]
+    monkeypatch.setattr(byte_streams, "_SerialSource", lambda *opened: opened)
+    device, stop = "/dev/serial/by-path/usb-0:1.0-port0", threading.Event()
+    assert parse_source(f"serial:{device}:38400")(stop) == (device, 38_400)
+    assert parse_source(f"serial:{device}")(stop) == (device, 115_200)
 
 
 def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
@@ -289,6 +267,7 @@ def test_a_file_may_be_silent_for_ever(tmp_path: Path, reader: Reader) -> None:
 def raw_terminal() -> tuple[int, str]:
     """A pair of pseudo-terminals: the end to write to, and the name of the port."""
     ours, theirs = pty.openpty()
+    tty.setraw(ours)
     tty.setraw(theirs)
     name = os.ttyname(theirs)
     os.close(theirs)
@@ -327,21 +306,13 @@ def test_a_port_is_read_by_one_reader_only(reader: Reader) -> None:
     os.close(ours)
 
 
-def unanswering() -> tuple[socket.socket, list[socket.socket]]:
-    """A server whose queue is full: clients get no answer."""
-    listening = socket.socket()
+def test_closing_while_connecting_ends_the_thread(reader: Reader) -> None:
+    listening, *waiting = (socket.socket() for _ in range(4))
     listening.bind(("127.0.0.1", 0))
     listening.listen(0)
-    waiting = []
-    for _ in range(3):
-        waiting.append(socket.socket())
-        waiting[-1].setblocking(False)
-        waiting[-1].connect_ex(listening.getsockname())
-    return listening, waiting
-
-
-def test_closing_while_connecting_ends_the_thread(reader: Reader) -> None:
-    listening, waiting = unanswering()
+    for client in waiting:  # the queue is full: others get no answer
+        client.setblocking(False)
+        client.connect_ex(listening.getsockname())
     stream = open_stream(f"tcp:127.0.0.1:{listening.getsockname()[1]}", on_data=reader.arrived.set)
     time.sleep(0.2)
     assert stream.failures == 0

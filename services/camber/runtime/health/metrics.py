@@ -14,6 +14,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from http import HTTPStatus
 
 from prometheus_client import CollectorRegistry
@@ -24,6 +25,7 @@ from prometheus_client.registry import Collector
 
 from camber.schemas.health import Health
 
+_Family = GaugeMetricFamily | CounterMetricFamily
 REFUSALS = ("undecodable", "stale", "future", "repeated", "out_of_order", "overflow")
 _STATUSES = ("starting", "ok", "degraded", "failing")
 _MOST_CONNECTIONS = 16  # chosen: more than any scraper opens
@@ -38,6 +40,8 @@ class HealthCollector(Collector):
     def __init__(self, service: str, vehicle: str) -> None:
         self._labels = {"service": service, "vehicle": vehicle}
         self._last: tuple[Health | None, float] = (None, time.monotonic())
+        self._gauge = partial(self._filled, GaugeMetricFamily)
+        self._counter = partial(self._filled, CounterMetricFamily)
 
     def say(self, health: Health) -> None:
         """This is how the service is now."""
@@ -55,27 +59,18 @@ class HealthCollector(Collector):
             yield from self._health_metrics(health, age_s)
 
     def _health_metrics(self, health: Health, age_s: float) -> Iterator[Metric]:
-        facts = {
-            "version": health.version,
-            **{name.replace(".", "_"): text for name, text in health.facts.items()},
-        }
+        facts = {name.replace(".", "_"): text for name, text in health.facts.items()}
         info = InfoMetricFamily("camber_service", "what runs here", labels=list(self._labels))
-        info.add_metric(list(self._labels.values()), facts)
+        info.add_metric(list(self._labels.values()), {"version": health.version, **facts})
         yield info
         yield self._gauge("uptime_seconds", "since the service began", [({}, health.uptime_s + age_s)])
         issues = [({"code": issue.code}, float(issue.count)) for issue in health.issues]
         yield self._counter("issues", "problems met, by code (docs/runbook.md)", issues)
         uses = [({"channel": use.channel, "direction": use.direction}, use) for use in health.channels]
-        yield self._counter(
-            "messages",
-            "over each channel, refused ones among them",
-            [(labels, use.messages) for labels, use in uses],
-        )
-        yield self._gauge(
-            "channel_age_seconds",
-            "since the last message of each channel",
-            [(labels, use.age_s + age_s) for labels, use in uses if use.age_s is not None],
-        )
+        messages = [(labels, use.messages) for labels, use in uses]
+        yield self._counter("messages", "over each channel, refused ones among them", messages)
+        ages = [(labels, use.age_s + age_s) for labels, use in uses if use.age_s is not None]
+        yield self._gauge("channel_age_seconds", "since the last message of each channel", ages)
         waiting = [(labels, use.waiting) for labels, use in uses if use.direction != "out"]
         yield self._gauge("queue_length", "messages and questions that wait for the work loop", waiting)
         inputs = {use.channel for use in health.channels if use.direction == "in"}
@@ -97,18 +92,8 @@ class HealthCollector(Collector):
             metric = f"{metric[:-2]}_seconds" if metric.endswith("_s") else metric
             yield self._gauge(metric, "as the service says of itself", [({}, value)])
 
-    def _gauge(self, name: str, text: str, values: Sequence[tuple[dict[str, str], float]]) -> Metric:
-        return self._filled(GaugeMetricFamily, name, text, values)
-
-    def _counter(self, name: str, text: str, values: Sequence[tuple[dict[str, str], float]]) -> Metric:
-        return self._filled(CounterMetricFamily, name, text, values)
-
     def _filled(
-        self,
-        family: type[GaugeMetricFamily] | type[CounterMetricFamily],
-        name: str,
-        text: str,
-        values: Sequence[tuple[dict[str, str], float]],
+        self, family: type[_Family], name: str, text: str, values: Sequence[tuple[dict[str, str], float]]
     ) -> Metric:
         labels = [*self._labels, *(values[0][0] if values else ())]
         metric = family(f"camber_{name}", text, labels=labels)

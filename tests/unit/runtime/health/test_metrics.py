@@ -8,7 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
@@ -22,7 +22,7 @@ from camber.schemas.health import ChannelUse, Health, Issue
 PROCESS = {"service": "integrity", "vehicle": "v7"}
 
 
-def health(**more: object) -> Health:
+def health() -> Health:
     return Health(
         time_ns=SystemClock().now_ns(),
         service="integrity",
@@ -30,33 +30,34 @@ def health(**more: object) -> Health:
         status="degraded",
         uptime_s=12.0,
         loop_age_s=0.0,
-        **{
-            "issues": (Issue(code="upload_unanswered", text='a "quoted"\ntext', count=3),),
-            "counters": {"verdict.confirmed": 7, "fix.stale": 2, "fix.judged_already": 1},
-            "channels": (
-                ChannelUse(channel="fix", direction="in", messages=9, age_s=0.25, waiting=4),
-                ChannelUse(channel="verdict", direction="out", messages=8, age_s=None),
-                ChannelUse(channel="health", direction="asked", messages=1, age_s=3.0),
-            ),
-            "gauges": {"uploads_waiting": 5.0, "loop_lag_s": 0.5},
-            "facts": {"process": "host:1", "map_release": 'nagoya "3"'},
-            **more,
-        },  # type: ignore[arg-type]
+        issues=(Issue(code="upload_unanswered", text='a "quoted"\ntext', count=3),),
+        counters={"verdict.confirmed": 7, "fix.stale": 2, "fix.judged_already": 1},
+        channels=(
+            ChannelUse(channel="fix", direction="in", messages=9, age_s=0.25, waiting=4),
+            ChannelUse(channel="verdict", direction="out", messages=8, age_s=None),
+            ChannelUse(channel="health", direction="asked", messages=1, age_s=3.0),
+        ),
+        gauges={"uploads_waiting": 5.0, "loop_lag_s": 0.5},
+        facts={"process": "host:1", "map_release": 'nagoya "3"'},
     )
 
 
 @pytest.fixture
-def exposed() -> HealthCollector:
-    return HealthCollector("integrity", "v7")
+def server() -> Iterator[MetricsServer]:
+    """Of a service whose work loop has not begun."""
+    with closing(MetricsServer("127.0.0.1", 0, HealthCollector("integrity", "v7"))) as server:
+        yield server
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port), timeout=1.0).close()
 
 
 @pytest.fixture
-def server(exposed: HealthCollector) -> Iterator[MetricsServer]:
-    server = MetricsServer("127.0.0.1", 0, exposed)
-    yield server
-    server.close()
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", server.port), timeout=1.0).close()
+def reporting() -> Iterator[MetricsServer]:
+    """Of a service that has reported its health."""
+    collector = HealthCollector("integrity", "v7")
+    collector.say(health())
+    with closing(MetricsServer("127.0.0.1", 0, collector)) as server:
+        yield server
 
 
 def get(server: MetricsServer, accept: str = "", path: str = "/metrics") -> tuple[str, str]:
@@ -80,9 +81,8 @@ def value(result: dict[str, list[Sample]], name: str, **labels: str) -> float:
     return float(sample.value)
 
 
-def test_every_part_of_the_health_is_there(server: MetricsServer, exposed: HealthCollector) -> None:
-    exposed.say(health())
-    result = samples(server)
+def test_every_part_of_the_health_is_there(reporting: MetricsServer) -> None:
+    result = samples(reporting)
     assert value(result, "camber_status", status="degraded") == 1.0
     assert value(result, "camber_status", status="ok") == 0.0
     assert value(result, "camber_messages_total", channel="fix", direction="in") == 9.0
@@ -101,13 +101,12 @@ def test_every_part_of_the_health_is_there(server: MetricsServer, exposed: Healt
     assert result["process_resident_memory_bytes"][0].value > 1e6
 
 
-def test_both_text_formats_are_served_as_asked(server: MetricsServer, exposed: HealthCollector) -> None:
-    exposed.say(health())
+def test_both_text_formats_are_served_as_asked(reporting: MetricsServer) -> None:
     for accept in ("application/openmetrics-text; version=abc", "text/plain;version=0.0.4"):
-        plain, kind = get(server, accept)
+        plain, kind = get(reporting, accept)
         assert kind.startswith("text/plain; version=0.0.4")
         assert "camber_said_age_seconds" in plain
-    text, kind = get(server, "application/openmetrics-text;version=1.0.0,text/plain;q=0.5")
+    text, kind = get(reporting, "application/openmetrics-text;version=1.0.0,text/plain;q=0.5")
     assert kind.startswith("application/openmetrics-text")
     assert text.endswith("# EOF\n")
     assert not plain.endswith("# EOF\n")
@@ -122,12 +121,11 @@ def test_before_the_loop_has_begun_it_is_starting(server: MetricsServer) -> None
 
 
 def test_of_a_frozen_loop_the_figures_stay_and_their_age_grows(
-    server: MetricsServer, exposed: HealthCollector, monkeypatch: pytest.MonkeyPatch
+    reporting: MetricsServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exposed.say(health())
-    before = samples(server)
+    before = samples(reporting)
     monkeypatch.setattr(time, "monotonic", lambda real=time.monotonic: real() + 60.0)
-    after = samples(server)
+    after = samples(reporting)
     assert value(before, "camber_said_age_seconds") < 30.0
     assert value(after, "camber_said_age_seconds") >= 60.0
     assert value(after, "camber_channel_age_seconds", channel="fix", direction="in") >= 60.25
@@ -164,30 +162,24 @@ def raw(server: MetricsServer, data: bytes) -> bytes:
     ],
 )
 def test_what_is_no_question_is_refused_and_the_next_one_answered(
-    server: MetricsServer, exposed: HealthCollector, data: bytes, begin: bytes
+    reporting: MetricsServer, data: bytes, begin: bytes
 ) -> None:
-    exposed.say(health())
-    answer = raw(server, data)
+    answer = raw(reporting, data)
     assert answer.startswith(begin)
     assert bool(answer) == bool(begin)
-    assert value(samples(server), "camber_uptime_seconds") >= 12.0
+    assert value(samples(reporting), "camber_uptime_seconds") >= 12.0
 
 
-def test_who_asks_slowly_and_in_great_number_is_dropped(
-    server: MetricsServer, exposed: HealthCollector
-) -> None:
-    exposed.say(health())
+def test_who_asks_slowly_and_in_great_number_is_dropped(reporting: MetricsServer) -> None:
     threads = threading.active_count()
     with ExitStack() as held:
-        slow = []
         for _ in range(60):  # more than are served at once, and none ever ends its question
-            connection = socket.socket()
-            held.enter_context(connection)
-            connection.settimeout(30.0)
+            connection = held.enter_context(socket.socket())
             connection.setblocking(False)
-            connection.connect_ex(("127.0.0.1", server.port))
-            slow.append(connection)
-        assert value(samples_after(server, 30.0), "camber_uptime_seconds") >= 12.0, "they are dropped in time"
+            connection.connect_ex(("127.0.0.1", reporting.port))
+        assert value(samples_after(reporting, 30.0), "camber_uptime_seconds") >= 12.0, (
+            "they are dropped in time"
+        )
         assert threading.active_count() == threads, "no thread was made for them"
 
 

@@ -35,6 +35,13 @@ def path(tmp_path):
     return tmp_path / "outbox.sqlite"
 
 
+def stored(path, uploads) -> bytearray:
+    """The bytes of an outbox with these uploads."""
+    with opened(path) as outbox:
+        outbox.put_many(uploads)
+    return bytearray(path.read_bytes())
+
+
 @contextmanager
 def no_file_larger_than(size_bytes):
     """What a full disk does to a write, without needing one."""
@@ -56,8 +63,8 @@ def test_uploads_wait_in_the_order_in_which_they_were_put(path):
 
 
 def test_what_was_put_is_there_when_the_outbox_is_opened_again(path):
+    stored(path, [upload(n) for n in range(10)])
     with opened(path) as outbox:
-        outbox.put_many([upload(n) for n in range(10)])
         outbox.acknowledge(["u0", "u9"])
     with opened(path) as outbox:
         assert held(outbox) == [upload(n) for n in range(1, 9)]
@@ -215,7 +222,6 @@ def test_a_writer_killed_at_any_moment_has_lost_nothing_that_was_put(path):
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
             text=True,
         )
-        assert writer.stdout is not None
         lines = [writer.stdout.readline() for _ in range(rng.randrange(1, 400))]
         writer.send_signal(signal.SIGKILL)
         lines += writer.stdout.read().splitlines()  # what it could still say before the end
@@ -233,13 +239,10 @@ def test_a_writer_killed_at_any_moment_has_lost_nothing_that_was_put(path):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_damage_is_noticed_the_file_renamed_and_never_changes_an_upload(tmp_path, seed):
+def test_damage_is_noticed_the_file_renamed_and_never_changes_an_upload(path, seed):
     rng = random.Random(seed)
-    path = tmp_path / "outbox.sqlite"
     put = [upload(n, rng.choice((50, 300, 9000))) for n in range(200)]
-    with opened(path) as outbox:
-        outbox.put_many(put)
-    data = bytearray(path.read_bytes())
+    data = stored(path, put)
     for _ in range(rng.choice((1, 1, 3, 30))):
         place = rng.randrange(100) if rng.random() < 0.2 else rng.randrange(len(data))
         data[place] ^= 1 << rng.randrange(8)
@@ -250,19 +253,15 @@ def test_damage_is_noticed_the_file_renamed_and_never_changes_an_upload(tmp_path
         assert set(result) <= set(put)
         missing = {u.id for u in put} - {u.id for u in result}
         if missing - dead:
-            assert outbox.notice is not None
             assert "outbox.sqlite.corrupt" in outbox.notice
-            assert (tmp_path / "outbox.sqlite.corrupt").read_bytes()[4096:] == bytes(data)[4096:]
+            assert path.with_name("outbox.sqlite.corrupt").read_bytes()[4096:] == data[4096:]
         outbox.put_many([upload(n) for n in range(1000, 1100)])
         assert len(held(outbox)) == len(result) + 100
 
 
 def test_one_damaged_page_costs_only_the_uploads_on_it(path):
-    put = [upload(n) for n in range(1000)]
-    with opened(path) as outbox:
-        outbox.put_many(put)
-    data = bytearray(path.read_bytes())
-    page = data.index(put[500].payload) // 4096
+    data = stored(path, [upload(n) for n in range(1000)])
+    page = data.index(upload(500).payload) // 4096
     data[page * 4096 : page * 4096 + 64] = bytes(64)
     path.write_bytes(data)
     with opened(path) as outbox:
@@ -273,9 +272,7 @@ def test_one_damaged_page_costs_only_the_uploads_on_it(path):
 @pytest.mark.parametrize("place", range(100))
 def test_a_flipped_bit_in_the_head_of_the_file_does_not_stop_the_outbox(path, place):
     put = [upload(n) for n in range(5)]
-    with opened(path) as outbox:
-        outbox.put_many(put)
-    data = bytearray(path.read_bytes())
+    data = stored(path, put)
     data[place] ^= 1 << (place % 8)
     path.write_bytes(data)
     with opened(path) as outbox:
@@ -284,23 +281,21 @@ def test_a_flipped_bit_in_the_head_of_the_file_does_not_stop_the_outbox(path, pl
         assert held(outbox)[-1] == upload(10)
 
 
-@pytest.mark.parametrize("table", [b"upload", b"dead_letter"])
-def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, table):
-    with opened(path) as outbox:
-        outbox.put_many([upload(1)])
-    path.write_bytes(path.read_bytes().replace(table, table[:-1] + b"X"))
+@pytest.mark.parametrize(
+    ("damage", "kept"),
+    [
+        (lambda data: data.replace(b"upload", b"uploaX"), []),
+        (lambda data: data.replace(b"dead_letter", b"dead_letteX"), [upload(1)]),
+        (lambda data: b"not a database" * 1000, []),
+    ],
+    ids=["a table has lost its name", "another has lost its name", "no database"],
+)
+def test_a_file_that_is_no_outbox_is_renamed_and_no_empty_outbox(path, damage, kept):
+    path.write_bytes(damage(stored(path, [upload(1)])))
     with opened(path) as outbox:
         outbox.put_many([upload(2)])
-        assert outbox.notice is not None
-        assert upload(2) in held(outbox)
-
-
-def test_a_file_that_is_no_database_is_renamed(path):
-    path.write_bytes(b"not a database" * 1000)
-    with opened(path) as outbox:
-        outbox.put_many([upload(1)])
-        assert held(outbox) == [upload(1)]
-        assert "outbox.sqlite.corrupt" in str(outbox.notice)
+        assert "outbox.sqlite.corrupt" in outbox.notice
+        assert held(outbox) == [*kept, upload(2)]
 
 
 def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
@@ -323,8 +318,7 @@ def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
 
 def test_a_swap_cut_off_in_between_is_finished_on_the_next_start(tmp_path, path):
     fresh = tmp_path / "outbox.sqlite.fresh"
-    with opened(fresh) as outbox:
-        outbox.put_many([upload(1)])
+    stored(fresh, [upload(1)])
     path.write_bytes(b"damaged")
     (tmp_path / "outbox.sqlite-wal").write_bytes(b"damaged log")
     with opened(path) as outbox:
@@ -334,9 +328,8 @@ def test_a_swap_cut_off_in_between_is_finished_on_the_next_start(tmp_path, path)
     assert not fresh.exists()
 
 
-def test_where_there_is_no_room_to_mend_a_damaged_file_it_stays_as_it_is(tmp_path):
+def test_where_there_is_no_room_to_mend_a_damaged_file_it_stays_as_it_is(tmp_path, path):
     """On a full disk SQLite leaves what it has written in its log, and does not say so."""
-    path = tmp_path / "outbox.sqlite"
     path.write_bytes(b"damaged")
     (tmp_path / "outbox.sqlite.corrupt").write_bytes(b"the last copy")
 

@@ -12,6 +12,7 @@ from camber.runtime.uploads.outbox import Outbox, OutboxError, OutboxFull
 from camber.runtime.uploads.uploader import Uploader
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import ReleaseHead, UploadReceipt
+from support.streams import wait_for
 
 T = 1_300_000_000 * 10**9
 LIMIT = 4 << 20
@@ -23,13 +24,6 @@ def message(version=1):
 
 def silent(channel, data):
     raise RuntimeError("nobody answers")
-
-
-def wait_for(condition, *, timeout_s=5.0):
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -44,6 +38,30 @@ def make(path):
         yield lambda ask=silent: made.enter_context(
             closing(Uploader(path, source="integrity", limit_bytes=LIMIT, ask=ask))
         )
+
+
+@pytest.fixture
+def gate(monkeypatch):
+    """Holds up what an uploader stores until it is opened; then `check` may still refuse it."""
+
+    def gated(uploader, check=lambda uploads: None):
+        put_many, entered, opened = uploader.outbox.put_many, threading.Event(), threading.Event()
+
+        def put(uploads):
+            entered.set()
+            opened.wait(5.0)
+            check(uploads)
+            put_many(uploads)
+
+        monkeypatch.setattr(uploader.outbox, "put_many", put)
+        return entered, opened
+
+    return gated
+
+
+def put(uploader, *numbers):
+    for number in numbers:
+        uploader.put(f"u{number}", "upload", message(number))
 
 
 def waiting(path):
@@ -67,8 +85,7 @@ class Server:
 
 def test_what_was_handed_over_is_on_the_disk_after_close(path, make):
     uploader = make()
-    for k in range(50):
-        uploader.put(f"u{k}", "upload", message(k))
+    put(uploader, *range(50))
     uploader.close()
     result = waiting(path)
     assert [pending.id for pending in result] == [f"u{k}" for k in range(50)]
@@ -87,8 +104,7 @@ def test_it_is_sent_and_leaves_when_it_is_acknowledged(make):
 
 def test_that_nobody_answers_is_a_problem_reported_when_it_grows(make):
     uploader = make()
-    uploader.put("u1", "upload", message(1))
-    wait_for(lambda: uploader.sender.sender.counts["failed"] > 0)
+    put(uploader, 1)
     wait_for(lambda: uploader.sender.sender.last_failure)
     uploader.sender.close()
     assert uploader.problems() == [("upload_unanswered", "RuntimeError: nobody answers")]
@@ -103,7 +119,7 @@ def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(make, m
         return server(channel, data) if answers.is_set() else silent(channel, data)
 
     uploader = make(denied)
-    uploader.put("u1", "upload", message())
+    put(uploader, 1)
     wait_for(lambda: uploader.sender.sender.counts["failed"])
     assert "upload_not_acknowledged" not in dict(uploader.problems())
     time.sleep(0.4)
@@ -113,23 +129,21 @@ def test_that_no_receipt_comes_for_long_is_reported_with_what_to_look_at(make, m
     assert "nobody answers" in text
     assert "upload_not_acknowledged" not in dict(uploader.problems()), "not in every round"
     answers.set()
-    wait_for(lambda: uploader.sender.sender.counts["stored"], timeout_s=15.0)
+    wait_for(lambda: uploader.sender.sender.counts["stored"])
     time.sleep(0.4)
     assert "upload_not_acknowledged" not in dict(uploader.problems())
 
 
 def test_a_refusal_is_a_problem(make):
     uploader = make(Server("refused"))
-    uploader.put("u1", "upload", message(1))
+    put(uploader, 1)
     wait_for(lambda: uploader.sender.sender.counts["refused"] > 0)
     assert ("upload_refused", "1 are dead letters") in uploader.problems()
 
 
 def test_a_damaged_outbox_is_a_problem(path, make):
     path.write_bytes(b"no database at all" * 1000)
-    uploader = make()
-    codes = [code for code, _ in uploader.problems()]
-    assert codes == ["outbox_damaged"]
+    assert [code for code, _ in make().problems()] == ["outbox_damaged"]
 
 
 def test_a_disk_that_fails_for_a_while_loses_nothing(path, make, monkeypatch):
@@ -144,9 +158,9 @@ def test_a_disk_that_fails_for_a_while_loses_nothing(path, make, monkeypatch):
         put_many(uploads)
 
     monkeypatch.setattr(uploader.outbox, "put_many", hindered)
-    uploader.put("u1", "upload", message(1))
+    put(uploader, 1)
     wait_for(lambda: ("upload_not_stored", "no room left") in uploader.problems())
-    uploader.put("u2", "upload", message(2))
+    put(uploader, 2)
     failing.clear()
     wait_for(lambda: uploader.outbox.counts().pending == 2)
     uploader.close()
@@ -156,80 +170,61 @@ def test_a_disk_that_fails_for_a_while_loses_nothing(path, make, monkeypatch):
 def test_one_that_still_fails_at_the_end_is_reported(make, monkeypatch):
     uploader = make()
     monkeypatch.setattr(uploader.outbox, "put_many", Mock(side_effect=OutboxError("no room left")))
-    uploader.put("u1", "upload", message(1))
+    put(uploader, 1)
     uploader.close()
     assert ("upload_lost", "1 uploads: no room left") in uploader.problems()
 
 
-def test_an_id_that_is_taken_costs_only_that_upload(path, make, monkeypatch):
-    release = threading.Event()
+def test_an_id_that_is_taken_costs_only_that_upload(path, make, gate):
     uploader = make()
-    put_many = uploader.outbox.put_many
-
-    def slow(uploads):
-        release.wait(5.0)
-        put_many(uploads)
-
-    monkeypatch.setattr(uploader.outbox, "put_many", slow)
-    uploader.put("u1", "upload", message(1))
-    for upload_id, version in [("u2", 2), ("u1", 99), ("u3", 3)]:  # one group: the writer waits for the first
-        uploader.put(upload_id, "upload", message(version))
-    release.set()
+    entered, opened = gate(uploader)
+    put(uploader, 1)
+    assert entered.wait(5.0)
+    put(uploader, 2)  # one group: the writer waits for the first
+    uploader.put("u1", "upload", message(99))
+    put(uploader, 3)
+    opened.set()
     uploader.close()
     assert [pending.id for pending in waiting(path)] == ["u1", "u2", "u3"]
     (text,) = [text for code, text in uploader.problems() if code == "upload_lost"]
     assert "u1" in text
 
 
-def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(make, monkeypatch):
+def test_more_than_the_queue_holds_is_dropped_and_reported_and_close_still_ends(make, gate, monkeypatch):
     monkeypatch.setattr(module, "_QUEUE_LIMIT", 2)
     monkeypatch.setattr(module, "_STORE_LIMIT_S", 0.05)
-    release, entered = threading.Event(), threading.Event()
     uploader = make()
-
-    def hangs(uploads):
-        entered.set()
-        release.wait(5.0)
-
-    monkeypatch.setattr(uploader.outbox, "put_many", hangs)
-    uploader.put("u0", "upload", message(0))
+    entered, opened = gate(uploader)
+    put(uploader, 0)
     assert entered.wait(5.0)
-    for k in range(1, 5):
-        uploader.put(f"u{k}", "upload", message(k))
+    put(uploader, 1, 2, 3, 4)
     uploader.close()
     codes = [code for code, _ in uploader.problems()]
     assert codes.count("upload_dropped") == 2
     assert "upload_lost" in codes
-    release.set()
+    opened.set()
     uploader._writer.join(5.0)
     assert not uploader._writer.is_alive()
 
 
 def test_how_many_uploads_wait_is_known_without_asking_the_disk(make):
     uploader = make()
-    for k in range(7):
-        uploader.put(f"u{k}", "upload", message(k))
+    put(uploader, *range(7))
     wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
 
 
-def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, make, monkeypatch):
-    begun, release = threading.Event(), threading.Event()
+def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, make, gate):
     uploader = make()
-    put_many = uploader.outbox.put_many
 
-    def little_room(uploads):
-        begun.set()
-        release.wait(5.0)
+    def room_for_seven(uploads):
         if len(uploads) + uploader.outbox.counts().pending > 7:
             raise OutboxFull("no room left")
-        put_many(uploads)
 
-    monkeypatch.setattr(uploader.outbox, "put_many", little_room)
-    uploader.put("u0", "upload", message())
-    assert begun.wait(5.0)
-    for n in range(1, 20):  # one group: the writer waits for the first
-        uploader.put(f"u{n}", "upload", message())
-    release.set()
+    entered, opened = gate(uploader, room_for_seven)
+    put(uploader, 0)
+    assert entered.wait(5.0)
+    put(uploader, *range(1, 20))  # one group: the writer waits for the first
+    opened.set()
     uploader.close()
     assert [pending.id for pending in waiting(path)] == [f"u{n}" for n in range(7)]
     lost = [text for code, text in uploader.problems() if code == "upload_lost"]
