@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, cast, get_args
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -24,21 +24,6 @@ from camber.schemas.toml_file import FileError, Overrides, load_toml
 SurrogateInput = Literal["wheel_speed", "yaw_rate", "steering", "links", "road_surfaces", "initial_pose"]
 MOTION_SURROGATES = frozenset({"wheel_speed", "yaw_rate", "steering"})
 MAP_SURROGATES = frozenset({"links", "road_surfaces"})
-
-LEAST_ERRORS: dict[str, float] = {
-    "wheel_scale_sigma": 0.005,
-    "wheel_noise_m_s": 0.05,
-    "yaw_rate_bias_sigma_rad_s": math.radians(0.02),
-    "yaw_rate_noise_rad_s": math.radians(0.1),
-    "steering_bias_sigma_rad": math.radians(0.2),
-    "steering_noise_rad": math.radians(0.2),
-    "link_deviation_m": 3.0,
-    "map_sigma_m": 0.05,
-    "map_correlation_m": 20.0,
-    "initial_pose_sigma_m": 1.0,
-    "initial_yaw_sigma_rad": math.radians(1.0),
-}
-"""A surrogate made from truth flatters its user; no published figure may rest on smaller errors than these."""
 
 
 class ManifestError(FileError):
@@ -84,7 +69,6 @@ Folder = Annotated[Path, BeforeValidator(_native_folder)]
 Metres = Annotated[float, Field(ge=-100.0, le=100.0)]
 EcefMetres = Annotated[float, Field(ge=-1e7, le=1e7)]
 ErrorMetres = Annotated[float, Field(gt=0.0, le=1_000.0)]
-ErrorAngle = Annotated[float, Field(gt=0.0, le=math.pi)]
 
 
 class ReceiverFile(Model):
@@ -228,6 +212,17 @@ class Kill(Model):
     at_s: Annotated[float, Field(ge=0.0, le=1e6)] = Field(description="seconds after the drive's first epoch")
 
 
+def _error(least: float, description: str, *, most: float, default: float | None = None) -> Any:
+    """The size of an error; `least` (and default): the least on which a published figure may rest."""
+    size = least if default is None else default
+    return Field(size, gt=0.0, le=most, description=description, json_schema_extra={"least": least})
+
+
+def _angle(least_deg: float, description: str, *, default_deg: float | None = None) -> Any:
+    default = math.radians(least_deg if default_deg is None else default_deg)
+    return _error(math.radians(least_deg), description, most=math.pi, default=default)
+
+
 class Surrogates(Model):
     """Which inputs are made from the truth, and with what errors; an error once drawn holds for the whole drive
     where its name has `bias`, `scale` or `deviation`."""
@@ -237,54 +232,34 @@ class Surrogates(Model):
         (), description="list of " + ", ".join(get_args(SurrogateInput))
     )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="seed of all errors, a whole number")
-    wheel_scale_sigma: Annotated[float, Field(gt=0.0, le=0.5)] = Field(
-        LEAST_ERRORS["wheel_scale_sigma"],
-        description="relative standard deviation of the wheel's scale error",
+    wheel_scale_sigma: float = _error(
+        0.005, "relative standard deviation of the wheel's scale error", most=0.5
     )
-    wheel_noise_m_s: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
-        LEAST_ERRORS["wheel_noise_m_s"], description="white noise of the wheel speed, in m/s"
-    )
-    yaw_rate_bias_sigma_rad_s: ErrorAngle = Field(
-        LEAST_ERRORS["yaw_rate_bias_sigma_rad_s"],
-        description="standard deviation of the yaw rate's bias, rad/s",
-    )
-    yaw_rate_noise_rad_s: ErrorAngle = Field(
-        LEAST_ERRORS["yaw_rate_noise_rad_s"], description="white noise of the yaw rate, rad/s"
-    )
-    steering_bias_sigma_rad: ErrorAngle = Field(
-        LEAST_ERRORS["steering_bias_sigma_rad"], description="standard deviation of the steering's bias, rad"
-    )
-    steering_noise_rad: ErrorAngle = Field(
-        LEAST_ERRORS["steering_noise_rad"], description="white noise of the steering angle, rad"
-    )
+    wheel_noise_m_s: float = _error(0.05, "white noise of the wheel speed, in m/s", most=10.0)
+    yaw_rate_bias_sigma_rad_s: float = _angle(0.02, "standard deviation of the yaw rate's bias, rad/s")
+    yaw_rate_noise_rad_s: float = _angle(0.1, "white noise of the yaw rate, rad/s")
+    steering_bias_sigma_rad: float = _angle(0.2, "standard deviation of the steering's bias, rad")
+    steering_noise_rad: float = _angle(0.2, "white noise of the steering angle, rad")
     wheelbase_m: Annotated[float, Field(gt=0.1, le=20.0)] = Field(
         2.7, description="wheelbase of the bicycle model that steering is made with, metres"
     )
-    link_deviation_m: Annotated[float, Field(gt=0.0, le=50.0)] = Field(
-        LEAST_ERRORS["link_deviation_m"], description="how far links run off the track at most, metres"
-    )
-    map_sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
-        LEAST_ERRORS["map_sigma_m"], description="standard deviation of the road's elevation, metres"
-    )
-    map_correlation_m: Annotated[float, Field(gt=0.0, le=100_000.0)] = Field(
-        LEAST_ERRORS["map_correlation_m"], description="distance over which that error falls to 1/e, metres"
+    link_deviation_m: float = _error(3.0, "how far links run off the track at most, metres", most=50.0)
+    map_sigma_m: float = _error(0.05, "standard deviation of the road's elevation, metres", most=10.0)
+    map_correlation_m: float = _error(
+        20.0, "distance over which that error falls to 1/e, metres", most=100_000.0
     )
     antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
         None,
         description="what is taken from the truth's heights to make roads, metres; unset: antenna_height.height_m",
     )
-    initial_pose_sigma_m: ErrorMetres = Field(
-        1.0, description="error of the given pose, east and north, metres"
-    )
-    initial_yaw_sigma_rad: ErrorAngle = Field(
-        math.radians(2.0), description="error of the given pose's direction, rad"
-    )
+    initial_pose_sigma_m: float = _error(1.0, "error of the given pose, east and north, metres", most=1000.0)
+    initial_yaw_sigma_rad: float = _angle(1.0, "error of the given pose's direction, rad", default_deg=2.0)
 
-    @field_validator(*LEAST_ERRORS)
+    @field_validator("*")
     @classmethod
-    def _not_too_good(cls, value: float, info: ValidationInfo) -> float:
-        least = LEAST_ERRORS[str(info.field_name)]
-        if value < least and not info.data.get("allow_smaller_errors", False):
+    def _not_too_good(cls, value: Any, info: ValidationInfo) -> Any:
+        least = LEAST_ERRORS.get(str(info.field_name))
+        if least is not None and value < least and not info.data.get("allow_smaller_errors", False):
             raise PydanticCustomError(
                 "too_good", f"expected at least {least:.6g}, or surrogates.allow_smaller_errors = true"
             )
@@ -301,6 +276,14 @@ class Surrogates(Model):
     def smaller_errors(self) -> tuple[str, ...]:
         """The errors that are below what a published figure may rest on."""
         return tuple(name for name, least in LEAST_ERRORS.items() if getattr(self, name) < least)
+
+
+LEAST_ERRORS: dict[str, float] = {
+    name: cast(float, info.json_schema_extra["least"])
+    for name, info in Surrogates.model_fields.items()
+    if isinstance(info.json_schema_extra, dict)
+}
+"""A surrogate made from truth flatters its user; no published figure may rest on smaller errors than these."""
 
 
 class DriveManifest(Model):

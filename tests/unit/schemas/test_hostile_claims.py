@@ -53,10 +53,10 @@ def _claims() -> dict[str, bytes]:
     }  # fmt: skip
 
 
-def _bytes_of(cls: type[Message], fields: bytes, tail: bytes = b"") -> bytes:
+def _bytes_of(cls: type[Message], fields: bytes) -> bytes:
     header = b"\x94" + msgpack.packb(cls.schema_name()) + b"\xa0\x00" + fields
     assert len(header) <= HEADER_BYTES
-    return struct.pack("<I", len(header)) + header + tail
+    return struct.pack("<I", len(header)) + header
 
 
 @pytest.mark.parametrize("claim", _claims())
