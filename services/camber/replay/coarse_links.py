@@ -133,20 +133,17 @@ def _path(
 
     An end that meets another road goes on to the nearest node of that road.
     """
-    samples = np.arange(*lines.runs[run])
-    nodes = nodes_of_run[run].tolist()
-    ends: list[list[int]] = [[], []]
-    for end, joint in zip(ends, lines.joined[run], strict=True):
-        if joint >= 0 and run_of_sample[joint] >= 0:
-            there = nodes_of_run[int(run_of_sample[joint])]
-            end.append(int(there[np.argmin(np.abs(lines.distance_m[there] - lines.distance_m[joint]))]))
-    before, after = ends
-    path = np.concatenate((np.array(before, dtype=np.int64), samples, np.array(after, dtype=np.int64)))
-    places = [node - int(samples[0]) + len(before) for node in nodes]
-    if before:
-        places[0] = 0
-    if after:
-        places[-1] = len(path) - 1
+
+    def beyond(joint: int) -> list[int]:
+        if joint < 0 or run_of_sample[joint] < 0:
+            return []
+        nodes = nodes_of_run[int(run_of_sample[joint])]
+        return [int(nodes[np.argmin(np.abs(lines.distance_m[nodes] - lines.distance_m[joint]))])]
+
+    before, after = map(beyond, lines.joined[run])
+    path = np.array([*before, *range(*lines.runs[run]), *after], dtype=np.int64)
+    places = [node - lines.runs[run][0] + len(before) for node in nodes_of_run[run].tolist()]
+    places[0], places[-1] = 0, len(path) - 1
     return path, places
 
 

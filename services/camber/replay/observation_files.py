@@ -15,12 +15,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from camber.formats.broadcast.bit_fields import crc24q
 from camber.formats.broadcast.ephemeris_fields import gps_ns_near
 from camber.formats.errors import FormatError
+from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rtcm.msm_reader import is_msm
-from camber.formats.ubx.writer import checksum
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
 from camber.replay.arrivals import TimedBytes
 
@@ -33,8 +32,7 @@ _EPOCH = re.compile(
 )
 _OFFSET_NS = {b"GPS": 0, b"GAL": 0, b"QZS": 0, b"IRN": 0, b"   ": 0, b"BDT": 14 * NS_PER_SECOND}
 
-_SYNC = re.compile(rb"\xb5\x62|\xd3[\x00-\x03]")
-_RAWX = (0x02, 0x15)
+_RAWX = b"\x02\x15"
 _RAWX_HEAD = struct.Struct("<dH")
 # Class NAV: where iTOW stands in the messages that have it.
 _TIME_OF_WEEK_AT = {
@@ -43,6 +41,7 @@ _TIME_OF_WEEK_AT = {
 }
 _SAME_EPOCH_NS = 20_000_000
 """A receiver's clock is a few ms off the time of week that it rounds; epochs are 40 ms apart at least."""
+_CHUNK_BYTES = 1 << 16  # chosen: the kind of a large file is seen at once
 _MS_PER_WEEK = NS_PER_WEEK // 1_000_000
 _GLONASS, _BEIDOU = 108, 112  # an MSM's number without its last digit
 
@@ -73,7 +72,7 @@ def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol,
             expected = "another file of the drive that gives the date: RTCM 3 does not"
             raise FormatError(path.name, "week", expected)
         frames = _frames(data)
-        marks = _ubx_marks(data, frames) if protocol == "ubx" else _rtcm_marks(data, frames, near_ns or 0)
+        marks = _ubx_marks(frames) if protocol == "ubx" else _rtcm_marks(frames, near_ns or 0)
         header, epochs = b"", _cut(data, 0, marks)
     if not epochs:
         raise FormatError(path.name, "epochs", _EXPECTED_EPOCHS[protocol])
@@ -85,8 +84,8 @@ def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
     data = b"".join(rinex_chunks(path))
     if data[60:80].startswith(b"RINEX VERSION"):
         return "rinex", data
-    for start, _ in _frames(data):
-        return ("ubx" if data[start] == 0xB5 else "rtcm"), data
+    for frame in _frames(data):
+        return ("ubx" if frame.protocol == "ubx" else "rtcm"), data
     raise FormatError(path.name, "format", "RINEX 3 or 4, UBX or RTCM 3", actual=data[:20])
 
 
@@ -129,30 +128,20 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
         yield line.start(), time_ns + offset_ns
 
 
-def _frames(data: bytes) -> Iterator[tuple[int, int]]:
-    """Begin and end of all UBX and RTCM 3 frames whose checksums are right."""
-    place = 0
-    while (sync := _SYNC.search(data, place)) is not None:
-        start = sync.start()
-        place = start + 1
-        if data[start] == 0xB5:
-            end = start + 8 + int.from_bytes(data[start + 4 : start + 6], "little")
-            whole = end <= len(data) and checksum(data[start + 2 : end - 2]) == data[end - 2 : end]
-        else:
-            end = start + 6 + int.from_bytes(data[start + 1 : start + 3], "big")
-            check = data[end - 3 : end]
-            whole = end <= len(data) and crc24q(data[start : end - 3]) == int.from_bytes(check, "big")
-        if whole:
-            yield start, end
-            place = end
+def _frames(data: bytes) -> Iterator[Frame]:
+    """All UBX and RTCM 3 frames whose checksums are right."""
+    buffer = FrameBuffer("ubx", "rtcm")
+    for start in range(0, len(data), _CHUNK_BYTES):
+        yield from buffer.feed(data[start : start + _CHUNK_BYTES])
+    yield from buffer.finish()
 
 
-def _ubx_marks(data: bytes, frames: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+def _ubx_marks(frames: Iterable[Frame]) -> Iterator[tuple[int, int]]:
     near_ns: int | None = None
-    for start, end in frames:
-        if data[start] != 0xB5:
+    for frame in frames:
+        kind, payload, end = frame.data[2:4], frame.data[6:-2], frame.byte_offset + len(frame.data)
+        if frame.protocol != "ubx":
             continue
-        kind, payload = (data[start + 2], data[start + 3]), data[start + 6 : end - 2]
         if kind == _RAWX and len(payload) >= _RAWX_HEAD.size:
             of_week_s, week = _RAWX_HEAD.unpack_from(payload)
             if 0.0 <= of_week_s < 604_800.0:
@@ -165,13 +154,13 @@ def _ubx_marks(data: bytes, frames: Iterable[tuple[int, int]]) -> Iterator[tuple
                 yield end, gps_ns_near("G", of_week_ms * 1_000_000, near_ns)
 
 
-def _rtcm_marks(data: bytes, frames: Iterable[tuple[int, int]], near_ns: int) -> Iterator[tuple[int, int]]:
+def _rtcm_marks(frames: Iterable[Frame], near_ns: int) -> Iterator[tuple[int, int]]:
     """Each MSM. GLONASS counts another day: one between the others is of their epoch."""
     open_ns: int | None = None
-    for start, end in frames:
-        payload = data[start + 3 : end - 3]
+    for frame in frames:
+        payload, end = frame.data[3:-3], frame.byte_offset + len(frame.data)
         number = int.from_bytes(payload[:2], "big") >> 4
-        if data[start] != 0xD3 or not is_msm(number) or len(payload) < 10:
+        if frame.protocol != "rtcm" or not is_msm(number) or len(payload) < 10:
             continue
         more = bool(payload[6] & 0x02)
         if number // 10 == _GLONASS:

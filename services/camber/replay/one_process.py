@@ -83,7 +83,7 @@ def replay_in_one_process(
         if recorder is not None:
             recorder.tick_done(tick.time_ns)
         progress()
-    return vehicle.output()
+    return DriveOutput(recorded=vehicle.recorded, issues=vehicle.issues, notes=vehicle.sweeps.notes())
 
 
 @dataclass(slots=True, kw_only=True)
@@ -112,15 +112,14 @@ class _Vehicle:
         self.clock = ReplayClock()
         self.issues: list[ReportedIssue] = []
         self._inputs = inputs
-        self._sweeps = SweepReader()
+        self.sweeps = SweepReader()
         self._recorder = recorder
-        shutil.rmtree(
-            folder / "state", ignore_errors=True
-        )  # what an earlier run has learnt would change this one
+        # What an earlier run has learnt would change this one.
+        shutil.rmtree(folder / "state", ignore_errors=True)
         tables = service_settings(inputs, folder)
         self._settings = {name: {**tables[name], **settings.get(name, {})} for name in VEHICLE_SERVICES}
         self._settings["integrity"] |= {"upload": False}
-        self._recorded: dict[str, list[Recorded[Any]]] = {name: [] for name in channels}
+        self.recorded: dict[str, list[Recorded[Any]]] = {name: [] for name in channels}
         self._sequence: Counter[tuple[str, str]] = Counter()
         self._schedule = WorkSchedule()
         self._running: dict[str, _RunningService] = {}
@@ -135,7 +134,7 @@ class _Vehicle:
         time_ns = tick.time_ns
         self._restart(time_ns)
         self._kill(time_ns)
-        self._feed(tick.messages(self._sweeps))
+        self._feed(tick.messages(self.sweeps))
         working = self._schedule.next_tick(time_ns, last=time_ns == self._inputs.tick_times_ns[-1])
         for name in VEHICLE_SERVICES:
             if name in working and name in self._running:
@@ -150,8 +149,8 @@ class _Vehicle:
         if self._recorder is not None:
             arrival_ns = time.time_ns()
             self._recorder.add_message(name, received, arrival_ns)
-        if name in self._recorded:
-            self._recorded[name].append(
+        if name in self.recorded:
+            self.recorded[name].append(
                 Recorded(
                     channel=name, key=name, message=message, source=source, sequence=sequence, arrival_ns=arrival_ns
                 )
@@ -176,12 +175,10 @@ class _Vehicle:
         return reply
 
     def is_running(self, name: str) -> bool:
-        """Does this service run?"""
         return name in self._running or name == "map_update"
 
-    def output(self) -> DriveOutput:
-        """Return all that was published and reported."""
-        return DriveOutput(recorded=self._recorded, issues=self.issues, notes=tuple(self._sweeps.notes()))
+    def report(self, service: str, time_ns: int, code: str, text: str) -> None:
+        self.issues.append(ReportedIssue(time_ns=time_ns, service=service, code=code, text=text))
 
     def _feed(self, messages: Iterable[tuple[str, Message]]) -> None:
         for name, message in messages:
@@ -213,9 +210,7 @@ class _Vehicle:
             self._kills.remove((at_ns, name))
             self._running.pop(name, None)
             self._returns_ns[name] = time_ns + round(RESTART_S * 1e9)
-            self.issues.append(
-                ReportedIssue(time_ns=time_ns, service=name, code="killed", text=f"for {RESTART_S:g} s")
-            )
+            self.report(name, time_ns, "killed", f"for {RESTART_S:g} s")
 
     def _work(self, running: _RunningService, time_ns: int) -> None:
         self.clock.set(time_ns)
@@ -249,36 +244,21 @@ class _ServiceBus:
     def __init__(self, vehicle: _Vehicle, service: str) -> None:
         self.service = service
         self.counters: Counter[str] = Counter()
+        self.now_ns = vehicle.clock.now_ns
+        self.ask = vehicle.ask
+        self.is_alive = vehicle.is_running
         self._vehicle = vehicle
 
-    def now_ns(self) -> int:
-        """Return the tick's time."""
-        return self._vehicle.clock.now_ns()
-
     def publish(self, name: str, message: Message) -> None:
-        """Hand the message to its consumers."""
         self._vehicle.publish(self.service, name, message)
 
-    def ask(self, name: str, request: Message) -> Any:
-        """Return the answer; raises QueryFailed as the bus does."""
-        return self._vehicle.ask(name, request)
-
     def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
-        """Raise QueryFailed: nobody takes uploads."""
-        raise QueryFailed("absent", name)
-
-    def is_alive(self, service: str) -> bool:
-        """Does this service run?"""
-        return self._vehicle.is_running(service)
+        raise QueryFailed("absent", name)  # nobody takes uploads
 
     def issue(self, code: str, text: str) -> None:
-        """Keep an issue with its time."""
-        self._vehicle.issues.append(
-            ReportedIssue(time_ns=self.now_ns(), service=self.service, code=code, text=text)
-        )
+        self._vehicle.report(self.service, self.now_ns(), code, text)
 
     def count(self, name: str, n: int = 1) -> None:
-        """Add to a counter."""
         self.counters[name] += n
 
     def wake(self) -> None:

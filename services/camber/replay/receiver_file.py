@@ -18,9 +18,7 @@ from camber.schemas.drive import ReceiverFile
 _NMEA_TIME = re.compile(rb"^\$..(?:GGA|RMC|GST|GNS),(\d\d)(\d\d)(\d\d)(?:\.(\d{1,9}))?,")
 
 _AROUND = 3  # epochs before and after, of which most must be sound
-_AHEAD_NS = (
-    60 * NS_PER_SECOND
-)  # a recording may have gaps; a clock that is wrong is wrong by more than the few around
+_AHEAD_NS = 60 * NS_PER_SECOND  # a recording may have gaps; a clock that is wrong is wrong by more
 
 
 def read_receiver_file(receiver: ReceiverFile) -> tuple[bytes, list[TimedBytes]]:
@@ -30,9 +28,7 @@ def read_receiver_file(receiver: ReceiverFile) -> tuple[bytes, list[TimedBytes]]
     where there is no epoch at all, OSError where the file cannot be read.
     """
     lines = receiver.file.read_bytes().splitlines(keepends=True)
-    times = (
-        _pos_times(receiver.file.name, lines) if receiver.format == "pos" else _nmea_times(receiver, lines)
-    )
+    times = _pos_times(receiver, lines) if receiver.format == "pos" else _nmea_times(receiver, lines)
     preamble = b""
     epochs: list[TimedBytes] = []
     waiting: list[bytes] = []
@@ -74,13 +70,10 @@ def receive_times(time_ns: Sequence[int]) -> list[int]:
     return [int(t) for t in np.maximum(running, first)]
 
 
-def _pos_times(source_name: str, lines: Sequence[bytes]) -> list[int | None]:
-    decoder = PosDecoder(source_name)
-    times: list[int | None] = []
-    for line in lines:
-        solved_ns = [r.time_ns for r in decoder.feed(line) if isinstance(r, ReceiverSolution)]
-        times.append(solved_ns[-1] if solved_ns else None)
-    return times
+def _pos_times(receiver: ReceiverFile, lines: Sequence[bytes]) -> list[int | None]:
+    decoder = PosDecoder(receiver.file.name)
+    solved = ([r.time_ns for r in decoder.feed(line) if isinstance(r, ReceiverSolution)] for line in lines)
+    return [times_ns[-1] if times_ns else None for times_ns in solved]
 
 
 def _nmea_times(receiver: ReceiverFile, lines: Sequence[bytes]) -> list[int | None]:

@@ -34,8 +34,7 @@ def interpolate_truth(truth: TruthTable, time_ns: Int64) -> tuple[TruthTable, np
 
     def between(values: Float64) -> Float64:
         weight = share.reshape(-1, *[1] * (values.ndim - 1))
-        result: Float64 = values[i0] + weight * (values[i1] - values[i0])
-        return result
+        return np.asarray(values[i0] + weight * (values[i1] - values[i0]))
 
     def angle(values: Float64) -> Float64:
         return wrap_pi_array(values[i0] + share * wrap_pi_array(values[i1] - values[i0]))

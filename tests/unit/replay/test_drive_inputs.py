@@ -3,6 +3,7 @@
 import gzip
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +19,13 @@ from camber.replay.drive_inputs import Arrival, DriveInputs, prepare_drive
 from camber.replay.lock_step.drive import ReceiverGreeting
 from camber.replay.receiver_file import read_receiver_file, receive_times
 from camber.replay.short_drive import START_NS, write_short_drive
+from camber.replay.surrogates import true_motion
 from camber.replay.sweep_files import SweepReader
-from camber.replay.truth_interpolation import plane_of
 from camber.road_map.release import read_release
-from camber.schemas.drive import DriveManifest, ReceiverFile, load_manifest
+from camber.schemas.drive import DriveManifest, ReceiverFile, Surrogates, load_manifest
 from camber.schemas.gnss import ReceiverBytes
 from support.gnss_files import observation_text, read_pos, recording
+from support.nearest_surface import nearest_heights
 from support.random_observations import random_epoch
 
 NAGOYA = Path(__file__).parents[2] / "replay" / "nagoya.toml"
@@ -35,15 +37,19 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_short_drive(tmp_path_factory.mktemp("drive"))
 
 
-def changed(drive: Path, folder: Path, lines: list[bytes]) -> Path:
-    """The drive with other lines in its receiver's file."""
-    manifest = write_short_drive(folder)
-    (folder / "receiver.pos").write_bytes(b"".join(lines))
-    return manifest
+def lines_of(drive: Path, file: str = "receiver.pos") -> list[bytes]:
+    return (drive.parent / file).read_bytes().splitlines(keepends=True)
 
 
-def lines_of(drive: Path) -> list[bytes]:
-    return (drive.parent / "receiver.pos").read_bytes().splitlines(keepends=True)
+def prepared(manifest: Path, folder: Path, **changes: Any) -> DriveInputs:
+    return prepare_drive(load_manifest(manifest).model_copy(update=changes), folder / "work")
+
+
+def rewritten(folder: Path, file: str, lines: list[bytes]) -> DriveInputs:
+    """The short drive with other lines in one of its files."""
+    manifest = write_short_drive(folder / "d")
+    (folder / "d" / file).write_bytes(b"".join(lines))
+    return prepared(manifest, folder)
 
 
 def payload(inputs: DriveInputs) -> bytes:
@@ -51,13 +57,13 @@ def payload(inputs: DriveInputs) -> bytes:
 
 
 def test_all_bytes_of_the_receiver_arrive_in_the_order_of_the_file(drive: Path, tmp_path: Path) -> None:
-    inputs = prepare_drive(load_manifest(drive), tmp_path)
+    inputs = prepared(drive, tmp_path)
     assert payload(inputs) == (drive.parent / "receiver.pos").read_bytes()
     assert inputs.receiver[0].message.payload.tobytes().startswith(b"% (lat/lon/height=WGS84/ellipsoidal")
 
 
 def test_ticks_hold_everything_once_and_in_order(drive: Path, tmp_path: Path) -> None:
-    inputs = prepare_drive(load_manifest(drive), tmp_path)
+    inputs = prepared(drive, tmp_path)
     ticks = list(inputs.ticks())
     assert [tick.time_ns for tick in ticks] == sorted({tick.time_ns for tick in ticks})
     assert sum(len(tick.receiver) for tick in ticks) == len(inputs.receiver)
@@ -69,7 +75,7 @@ def test_ticks_hold_everything_once_and_in_order(drive: Path, tmp_path: Path) ->
 def test_late_and_repeated_epochs_arrive_where_they_stand_in_the_file(drive: Path, tmp_path: Path) -> None:
     lines = lines_of(drive)
     mixed = [*lines[:12], lines[7], lines[11], *lines[12:15], b"no position at all\n", *lines[15:]]
-    inputs = prepare_drive(load_manifest(changed(drive, tmp_path / "d", mixed)), tmp_path)
+    inputs = rewritten(tmp_path, "receiver.pos", mixed)
     assert payload(inputs) == b"".join(mixed)
     times = [arrival.receive_time_ns for arrival in inputs.receiver]
     assert times == sorted(set(times))
@@ -81,7 +87,7 @@ def test_late_and_repeated_epochs_arrive_where_they_stand_in_the_file(drive: Pat
 def test_a_fix_from_the_far_future_does_not_hold_up_the_rest(drive: Path, tmp_path: Path) -> None:
     lines = lines_of(drive)
     mixed = [*lines[:12], lines[12].replace(b"2024/", b"2089/"), *lines[13:]]
-    inputs = prepare_drive(load_manifest(changed(drive, tmp_path / "d", mixed)), tmp_path)
+    inputs = rewritten(tmp_path, "receiver.pos", mixed)
     assert payload(inputs) == b"".join(mixed)
     assert inputs.tick_times_ns[-1] == START_NS + 600 * STEP_NS
 
@@ -94,9 +100,7 @@ def test_receive_times_never_fall() -> None:
 
 
 def test_a_part_of_a_drive_begins_with_the_header(drive: Path, tmp_path: Path) -> None:
-    manifest = load_manifest(drive)
-    part = manifest.model_copy(update={"start_s": 10.0, "end_s": 12.0})
-    inputs = prepare_drive(part, tmp_path)
+    inputs = prepared(drive, tmp_path, start_s=10.0, end_s=12.0)
     assert inputs.tick_times_ns == tuple(START_NS + k * STEP_NS for k in range(50, 61))
     results = PosDecoder("receiver.pos").feed(payload(inputs))
     assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)] == list(inputs.tick_times_ns)
@@ -104,11 +108,8 @@ def test_a_part_of_a_drive_begins_with_the_header(drive: Path, tmp_path: Path) -
 
 
 def test_late_motion_arrives_late_and_keeps_its_time(drive: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "d"
-    manifest = write_short_drive(folder)
-    rows = (folder / "motion.csv").read_bytes().splitlines(keepends=True)
-    (folder / "motion.csv").write_bytes(b"".join([*rows[:10], rows[5], *rows[10:]]))
-    inputs = prepare_drive(load_manifest(manifest), tmp_path)
+    rows = lines_of(drive, "motion.csv")
+    inputs = rewritten(tmp_path, "motion.csv", [*rows[:10], rows[5], *rows[10:]])
     late = inputs.motion[9]
     assert late.message.time_ns == START_NS + 4 * STEP_NS
     assert late.receive_time_ns == START_NS + 8 * STEP_NS
@@ -130,21 +131,18 @@ def test_late_motion_arrives_late_and_keeps_its_time(drive: Path, tmp_path: Path
     ],
 )
 def test_a_fault_in_a_file_is_one_line(
-    tmp_path: Path, file: str, line: int, text: bytes, expected: str
+    drive: Path, tmp_path: Path, file: str, line: int, text: bytes, expected: str
 ) -> None:
-    manifest = write_short_drive(tmp_path / "d")
-    rows = (tmp_path / "d" / file).read_bytes().splitlines(keepends=True)
+    rows = lines_of(drive, file)
     rows[line - 1] = text
-    (tmp_path / "d" / file).write_bytes(b"".join(rows))
     with pytest.raises(FormatError) as caught:
-        prepare_drive(load_manifest(manifest), tmp_path)
+        rewritten(tmp_path, file, rows)
     assert str(caught.value).startswith(f"{file}:{line}: {expected}")
 
 
-def test_a_receiver_file_without_positions_is_refused(drive: Path, tmp_path: Path) -> None:
-    manifest = load_manifest(changed(drive, tmp_path / "d", [b"% nothing\n"]))
+def test_a_receiver_file_without_positions_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"receiver\.pos: epochs, expected at least one position"):
-        prepare_drive(manifest, tmp_path)
+        rewritten(tmp_path, "receiver.pos", [b"% nothing\n"])
 
 
 def swept(folder: Path) -> Path:
@@ -159,7 +157,7 @@ def swept(folder: Path) -> Path:
 
 
 def test_sweeps_come_at_the_time_of_their_end_and_are_not_read_before(tmp_path: Path) -> None:
-    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    inputs = prepared(swept(tmp_path / "d"), tmp_path)
     assert "sweep" in inputs.channels
     at = {tick.time_ns: tick.sweeps for tick in inputs.ticks() if tick.sweeps}
     assert list(at) == [START_NS + k * STEP_NS for k in (1, 2, 3)]
@@ -169,15 +167,14 @@ def test_sweeps_come_at_the_time_of_their_end_and_are_not_read_before(tmp_path: 
 
 
 def test_sweeps_outside_of_the_part_of_a_drive_are_left_out(tmp_path: Path) -> None:
-    manifest = load_manifest(swept(tmp_path / "d")).model_copy(update={"end_s": 0.5})
-    inputs = prepare_drive(manifest, tmp_path)
+    inputs = prepared(swept(tmp_path / "d"), tmp_path, end_s=0.5)
     assert [file.time_ns for file in inputs.sweeps] == [START_NS + k * STEP_NS for k in (1, 2)]
 
 
 def test_a_point_cloud_whose_name_is_no_time_is_left_out_and_named(tmp_path: Path) -> None:
     manifest = swept(tmp_path / "d")
     (tmp_path / "d" / "sweeps" / "first.pcd").write_bytes(b"")
-    inputs = prepare_drive(load_manifest(manifest), tmp_path)
+    inputs = prepared(manifest, tmp_path)
     assert len(inputs.sweeps) == 3
     assert inputs.notes == (
         "a sweep is left out: first.pcd: name, expected the GPS time of the sweep's end in ns, then .pcd",
@@ -185,7 +182,7 @@ def test_a_point_cloud_whose_name_is_no_time_is_left_out_and_named(tmp_path: Pat
 
 
 def test_sweeps_that_are_damaged_or_gone_cost_themselves_and_one_line(tmp_path: Path) -> None:
-    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    inputs = prepared(swept(tmp_path / "d"), tmp_path)
     reader = SweepReader()
     assert len(list(reader.read(inputs.sweeps))) == 3
     assert reader.notes() == ()
@@ -233,7 +230,7 @@ def joined(arrivals: list[Arrival[ReceiverBytes]]) -> bytes:
 def test_raw_observations_come_epoch_by_epoch_with_the_receivers_solutions(
     tmp_path: Path, receiver: bool
 ) -> None:
-    inputs = prepare_drive(load_manifest(raw(tmp_path / "d", receiver=receiver)), tmp_path)
+    inputs = prepared(raw(tmp_path / "d", receiver=receiver), tmp_path)
     rover, base = stream_arrivals(inputs, "rover"), stream_arrivals(inputs, "base")
     assert joined(rover) == gzip.decompress((tmp_path / "d" / "rover.obs.gz").read_bytes())
     assert [a.receive_time_ns for a in rover] == [START_NS + k * STEP_NS for k in range(10)]
@@ -250,7 +247,7 @@ def test_raw_observations_come_epoch_by_epoch_with_the_receivers_solutions(
 
 
 def test_a_client_that_connects_later_gets_headers_and_ephemerides(tmp_path: Path) -> None:
-    inputs = prepare_drive(load_manifest(raw(tmp_path / "d")), tmp_path)
+    inputs = prepared(raw(tmp_path / "d"), tmp_path)
     parts = {(m.stream, m.protocol): m.payload.tobytes() for m in inputs.greeting}
     assert set(parts) == {
         ("ephemerides", "rinex"), ("base", "rinex"), ("rover", "rinex"), ("rover", "pos")
@@ -267,15 +264,17 @@ def test_a_client_that_connects_later_gets_headers_and_ephemerides(tmp_path: Pat
     assert list(greeting.messages(START_NS + 8, everybody)) == []
 
 
-def noted(folder: Path, rows: list[str]) -> DriveManifest:
+def noted(folder: Path, rows: list[str]) -> DriveInputs:
     """The short drive, whose receiver's file has arrivals noted down."""
-    manifest = write_short_drive(folder)
-    (folder / "arrivals.csv").write_text("arrival_time_ns,end_byte\n" + "".join(f"{row}\n" for row in rows))
+    manifest = write_short_drive(folder / "d")
+    (folder / "d" / "arrivals.csv").write_text(
+        "arrival_time_ns,end_byte\n" + "".join(f"{row}\n" for row in rows)
+    )
     text = manifest.read_text()
     manifest.write_text(
         text.replace('file = "receiver.pos"\n', 'file = "receiver.pos"\narrivals = "arrivals.csv"\n')
     )
-    return load_manifest(manifest)
+    return prepared(manifest, folder)
 
 
 def test_bytes_arrive_when_their_recorder_noted_them_down(drive: Path, tmp_path: Path) -> None:
@@ -283,7 +282,7 @@ def test_bytes_arrive_when_their_recorder_noted_them_down(drive: Path, tmp_path:
     header = len(b"".join(line for line in lines_of(drive) if line.startswith(b"%")))
     ends = [10, header + 5, header + 700, len(data)]
     rows = [f"{START_NS + 40 * k},{end}" for k, end in enumerate(ends)]
-    inputs = prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+    inputs = noted(tmp_path, rows)
     arrived = [(a.receive_time_ns - START_NS, len(a.message.payload)) for a in inputs.receiver]
     assert arrived == [(40, header + 5), (80, 695), (120, len(data) - ends[2])]
     assert payload(inputs) == data
@@ -306,15 +305,13 @@ def test_arrivals_that_do_not_fit_the_file_are_one_line(
     tmp_path: Path, rows: list[str], expected: str
 ) -> None:
     with pytest.raises(FormatError) as caught:
-        prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+        noted(tmp_path, rows)
     assert str(caught.value).startswith(expected)
 
 
 def test_a_surrogate_map_is_written_and_says_how_it_was_made(drive: Path, tmp_path: Path) -> None:
-    manifest = load_manifest(drive)
-    surrogates = manifest.surrogates.model_copy(update={"inputs": ("links", "road_surfaces", "initial_pose")})
-    made = manifest.model_copy(update={"map": None, "initial_pose": None, "surrogates": surrogates})
-    inputs = prepare_drive(made, tmp_path / "work")
+    surrogates = Surrogates(inputs=("links", "road_surfaces", "initial_pose"))
+    inputs = prepared(drive, tmp_path, map=None, initial_pose=None, surrogates=surrogates)
     assert inputs.map_release == tmp_path / "work" / "map"
     assert "made from the drive's own truth, seed 1" in read_release(inputs.map_release).manifest.surrogate
     assert inputs.initial_pose is not None
@@ -341,9 +338,6 @@ def test_nmea_is_cut_into_epochs_across_midnight(tmp_path: Path) -> None:
     assert epochs[0].payload == b"".join(lines[:3])
 
 
-# -- the recording from Nagoya ---------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def nagoya() -> DriveManifest:
     recording("nagoya-2023-07-11")
@@ -352,13 +346,10 @@ def nagoya() -> DriveManifest:
 
 @pytest.fixture(scope="module")
 def reference(nagoya: DriveManifest) -> TruthTable:
-    assert nagoya.truth is not None
     return read_truth(nagoya.truth.file, nagoya.truth.format)
 
 
 def test_nagoya_stands_still_quietly_and_reverses_once_at_the_end(reference: TruthTable) -> None:
-    from camber.replay.surrogates import true_motion
-
     motion = true_motion(reference, 2.7)
     speed = motion.wheel_speed_m_s
     standing = np.abs(speed) < 0.02
@@ -373,22 +364,10 @@ def test_nagoya_is_prepared_with_a_surrogate_map_under_every_epoch(
     nagoya: DriveManifest, tmp_path: Path
 ) -> None:
     inputs = prepare_drive(nagoya, tmp_path)
-    assert inputs.truth is not None
     assert (len(inputs.truth), len(inputs.motion), len(inputs.receiver)) == (6151, 6151, 5395)
     # 185 epochs of the receiver lie a few milliseconds beside those of the reference.
     assert len(inputs.tick_times_ns) == 6151 + 185
-    assert inputs.map_release is not None
     surfaces = read_release(inputs.map_release).road_surfaces()
-    frame = plane_of(inputs.truth)
-    centre = frame.east_north_from_geodetic_array(
-        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
-    )
-    track = frame.east_north_from_geodetic_array(
-        inputs.truth.latitude_rad, inputs.truth.longitude_rad, inputs.truth.height_m
-    )
-    away = track[:, None, :] - centre
-    cos, sin = np.cos(surfaces.yaw_rad), np.sin(surfaces.yaw_rad)
-    on = np.abs(away[..., 0] * cos + away[..., 1] * sin) <= surfaces.half_length_m
-    on &= np.abs(-away[..., 0] * sin + away[..., 1] * cos) <= surfaces.half_width_m
-    assert on.any(axis=1).all()
+    _, outside_m = nearest_heights(surfaces, inputs.truth.latitude_rad, inputs.truth.longitude_rad)
+    assert (outside_m == 0.0).all()
     assert (surfaces.level == 0).all()

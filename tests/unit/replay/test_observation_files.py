@@ -94,12 +94,22 @@ def test_events_and_damaged_lines_of_rinex_go_with_the_epoch_before_them(tmp_pat
     assert b"> 20x6" in parts[2]
 
 
-def test_ubx_is_cut_after_the_last_frame_of_an_epoch(tmp_path: Path) -> None:
-    groups = [ubx_epoch(epoch, place=k != 2) for k, epoch in enumerate(epochs())]
-    data = b"".join(frame for group in groups for frame in group)
+def frames_of(kind: str) -> list[list[bytes]]:
+    """The frames of each epoch."""
+    if kind == "ubx":
+        return [ubx_epoch(epoch, place=k != 2) for k, epoch in enumerate(epochs())]
+    station = format_reference_station(ECEF_M, station_id=1)
+    return [[station, *format_observations(epoch, station_id=1)] for epoch in epochs()]
+
+
+@pytest.mark.parametrize(("kind", "weeks"), [("ubx", 0.0), ("rtcm", -0.49), ("rtcm", 0.0), ("rtcm", 0.49)])
+def test_frames_are_cut_after_the_last_one_of_an_epoch(tmp_path: Path, kind: str, weeks: float) -> None:
+    parts = [b"".join(group) for group in frames_of(kind)]
+    data = b"".join(parts)
     path = written(tmp_path, data)
-    assert read_raw_file(path)[0] == "ubx"
-    assert check_cut(path, data, TIMES_NS) == [b"".join(group) for group in groups]
+    assert read_raw_file(path)[0] == kind
+    near_ns = START_NS + round(weeks * NS_PER_WEEK)
+    assert check_cut(path, data, TIMES_NS, None if kind == "ubx" else near_ns) == parts
 
 
 def test_ubx_between_sentences_and_with_a_broken_frame_loses_no_byte(tmp_path: Path) -> None:
@@ -112,28 +122,16 @@ def test_ubx_between_sentences_and_with_a_broken_frame_loses_no_byte(tmp_path: P
     check_cut(written(tmp_path, data), data, TIMES_NS)
 
 
-@pytest.mark.parametrize("weeks", [-0.49, 0.0, 0.49])
-def test_rtcm_is_cut_after_the_last_msm_of_an_epoch(tmp_path: Path, weeks: float) -> None:
-    station = format_reference_station(ECEF_M, station_id=1)
-    groups = [[station, *format_observations(epoch, station_id=1)] for epoch in epochs()]
-    data = b"".join(frame for group in groups for frame in group)
-    path = written(tmp_path, data)
-    near_ns = START_NS + round(weeks * NS_PER_WEEK)
-    assert read_raw_file(path)[0] == "rtcm"
-    assert check_cut(path, data, TIMES_NS, near_ns) == [b"".join(group) for group in groups]
-
-
 def test_messages_of_glonass_are_of_the_epoch_that_they_stand_in(tmp_path: Path) -> None:
-    groups: list[list[bytes]] = []
+    expected: list[bytes] = []
     for epoch in epochs():
         payloads = msm7_payloads(epoch, station_id=1, more_follow=True)
         # As if of GLONASS, whose epoch counts a day of another zone; the last one of its epoch.
         glonass = bytearray(payloads[0])
         glonass[:7] = b"\x43\xf0\x01\xff\xff\xff\xfc"
-        groups.append([rtcm_frame(payload) for payload in (*payloads, bytes(glonass))])
-    data = b"".join(frame for group in groups for frame in group)
-    parts = check_cut(written(tmp_path, data), data, TIMES_NS, START_NS)
-    assert parts == [b"".join(group) for group in groups]
+        expected.append(b"".join(rtcm_frame(payload) for payload in (*payloads, bytes(glonass))))
+    data = b"".join(expected)
+    assert check_cut(written(tmp_path, data), data, TIMES_NS, START_NS) == expected
 
 
 def test_rtcm_without_a_date_is_one_line(tmp_path: Path) -> None:
@@ -151,14 +149,8 @@ def test_rtcm_without_a_date_is_one_line(tmp_path: Path) -> None:
         (format_reference_station(ECEF_M, station_id=1), "rover.raw: epochs, expected at least one MSM"),
         (rinex().replace(b"     3.04", b"     2.11"), "rover.raw: version is"),
         (rinex().replace(b"OBSERVATION DATA", b"NAVIGATION DATA "), "rover.raw: version is"),
-        (
-            rinex().replace(b"END OF HEADER", b"ENDS OF HEADE"),
-            "rover.raw: header, expected a line END OF HEADER",
-        ),
-        (
-            rinex().replace(b"     GPS         TIME OF F", b"     GLO         TIME OF F"),
-            "rover.raw: time system is",
-        ),
+        (rinex().replace(b"END OF H", b"ENDS OF "), "rover.raw: header, expected a line END OF HEADER"),
+        (rinex().replace(b"GPS         TIME OF", b"GLO         TIME OF"), "rover.raw: time system is"),
         (rinex().partition(b"\n>")[0] + b"\n", "rover.raw: epochs, expected at least one, from a line"),
         (gzip.compress(rinex(), mtime=0)[:-20], "rover.raw: gzip compression, expected"),
     ],
@@ -171,11 +163,7 @@ def test_what_cannot_be_cut_is_one_line(tmp_path: Path, data: bytes, expected: s
 
 @pytest.mark.parametrize("kind", ["rinex", "ubx", "rtcm"])
 def test_damage_raises_nothing_but_format_errors_and_loses_no_byte(tmp_path: Path, kind: str) -> None:
-    sound = {
-        "rinex": rinex(),
-        "ubx": b"".join(frame for epoch in epochs() for frame in ubx_epoch(epoch, place=True)),
-        "rtcm": b"".join(frame for epoch in epochs() for frame in format_observations(epoch, station_id=1)),
-    }[kind]
+    sound = rinex() if kind == "rinex" else b"".join(b"".join(group) for group in frames_of(kind))
     rng = random.Random(11)
     cut = 0
     for _ in range(60):
@@ -190,9 +178,6 @@ def test_damage_raises_nothing_but_format_errors_and_loses_no_byte(tmp_path: Pat
         cut += 1
         assert header + b"".join(part.payload for part in parts) == bytes(data)
     assert cut > 20
-
-
-# -- recordings ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from camber.replay.road_lines import road_lines
 from camber.replay.short_drive import short_drive_truth
 from camber.replay.surrogate_map import make_map
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.surface_heights import SurfaceHeights
 from camber.schemas.drive import Surrogates
 
 Array = npt.NDArray[np.float64]
@@ -21,13 +23,11 @@ FRAME = LocalFrame(math.radians(35.0), math.radians(137.0), 0.0)
 ANTENNA_M = 1.6
 
 
-def drive_along(
-    corners_m: list[tuple[float, float, float]], step_m: float = 1.0, stand: int = 0
-) -> TruthTable:
+def drive_along(corners_m: list[tuple[float, float, float]], stand: int = 0) -> TruthTable:
     """A drive from corner to corner (east, north, road height), standing a while at each."""
     points: list[Array] = []
     for a, b in pairwise(corners_m):
-        n = max(1, round(math.dist(a[:2], b[:2]) / step_m))
+        n = max(1, round(math.dist(a[:2], b[:2])))
         points += [np.tile(a, (stand, 1)), np.linspace(a, b, n + 1)[:-1]]
     track = np.vstack((*points, corners_m[-1]))
     n = len(track)
@@ -52,22 +52,10 @@ def plane(truth: TruthTable) -> Array:
 
 def heights_at(surfaces: RoadSurfaces, point_m: Array) -> list[tuple[int, float]]:
     """Level and height of every surface that holds a point."""
-    centre = FRAME.east_north_from_geodetic_array(
-        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
-    )
-    heights_m = []
-    away = point_m - centre
-    cos, sin = np.cos(surfaces.yaw_rad), np.sin(surfaces.yaw_rad)
-    along = (away[:, 0] * cos + away[:, 1] * sin) / surfaces.half_length_m
-    across = (-away[:, 0] * sin + away[:, 1] * cos) / surfaces.half_width_m
-    for i in np.flatnonzero((np.abs(along) <= 1.0) & (np.abs(across) <= 1.0)):
-        grid = surfaces.heights_m[i]
-        u, v = (along[i] + 1.0) / 2.0 * (grid.shape[0] - 1), (across[i] + 1.0) / 2.0 * (grid.shape[1] - 1)
-        r, c = min(int(u), grid.shape[0] - 2), min(int(v), grid.shape[1] - 2)
-        cell = grid[r : r + 2, c : c + 2]
-        height = np.array([1 - (u - r), u - r]) @ cell @ np.array([1 - (v - c), v - c])
-        heights_m.append((int(surfaces.level[i]), float(height)))
-    return heights_m
+    n = len(surfaces)
+    latitude, longitude, _ = FRAME.geodetic_from_east_north_array(np.tile(point_m, (n, 1)), np.zeros(n))
+    height_m, outside_m = SurfaceHeights(surfaces).heights_m(np.arange(n), latitude, longitude)
+    return [(int(surfaces.level[i]), float(height_m[i])) for i in np.flatnonzero(outside_m == 0.0)]
 
 
 def link_lines(links: RoadLinks) -> list[Array]:
@@ -85,8 +73,9 @@ def furthest(points_m: Array, line_m: Array) -> float:
     return max(float(np.hypot(*(line_m - p).T).min()) for p in points_m)
 
 
-def errors(seed: int = 1, **values: float) -> Surrogates:
-    return Surrogates(seed=seed, inputs=("links", "road_surfaces"), **values)  # type: ignore[arg-type]
+def made(truth: TruthTable, seed: int = 1, **errors: Any) -> tuple[RoadSurfaces, RoadLinks]:
+    surrogates = Surrogates(seed=seed, inputs=("links", "road_surfaces"), **errors)
+    return make_map(truth, surrogates, ANTENNA_M)
 
 
 SQUARE = [(0.0, 0.0, 10.0), (300.0, 0.0, 13.0), (300.0, 200.0, 16.0), (0.0, 200.0, 12.0), (0.0, 3.0, 10.0)]
@@ -94,12 +83,12 @@ SQUARE = [(0.0, 0.0, 10.0), (300.0, 0.0, 13.0), (300.0, 200.0, 16.0), (0.0, 200.
 
 def test_every_epoch_of_a_drive_has_a_road_beneath_it() -> None:
     for truth in (drive_along(SQUARE), short_drive_truth()):
-        surfaces, _ = make_map(truth, errors(), ANTENNA_M)
+        surfaces, _ = made(truth)
         assert all(heights_at(surfaces, point) for point in plane(truth))
 
 
 def test_surfaces_say_their_sigma_and_have_ids_links_and_sizes() -> None:
-    surfaces, links = make_map(drive_along(SQUARE), errors(map_sigma_m=0.08), ANTENNA_M)
+    surfaces, links = made(drive_along(SQUARE), map_sigma_m=0.08)
     assert (surfaces.sigma_m == 0.08).all()
     assert surfaces.surface_id.tolist() == list(range(1, len(surfaces) + 1))
     assert set(surfaces.link_id.tolist()) <= set(links.link_id.tolist())
@@ -113,7 +102,7 @@ def test_height_errors_over_seeds_have_the_stated_sigma_and_correlation() -> Non
     at_m = np.arange(0.0, 401.0, 10.0)
     drawn = []
     for seed in range(60):
-        surfaces, _ = make_map(truth, errors(seed), ANTENNA_M)
+        surfaces, _ = made(truth, seed)
         heights_m = [heights_at(surfaces, np.array([x, 0.0]))[0][1] for x in at_m]
         drawn.append(np.array(heights_m) - (10.0 + 0.03 * at_m))
     z = np.array(drawn)
@@ -125,7 +114,7 @@ def test_height_errors_over_seeds_have_the_stated_sigma_and_correlation() -> Non
 
 
 def test_the_road_has_no_crossfall() -> None:
-    surfaces, _ = make_map(drive_along([(0.0, 0.0, 10.0), (100.0, 0.0, 15.0)]), errors(), ANTENNA_M)
+    surfaces, _ = made(drive_along([(0.0, 0.0, 10.0), (100.0, 0.0, 15.0)]))
     assert max(float(np.ptp(grid, axis=1).max()) for grid in surfaces.heights_m) < 1e-9
 
 
@@ -135,8 +124,8 @@ def test_a_second_pass_gets_the_surface_of_the_first(away_m: float) -> None:
     block = [(100.0, 0.0, 10.0), (100.0, 60.0, 10.0), (0.0, 60.0, 10.0), (0.0, away_m, 10.05)]
     once = drive_along([(0.0, 0.0, 10.0), *block[:-1]])
     twice = drive_along([(0.0, 0.0, 10.0), *block, (100.0, away_m, 10.05)])
-    first, _ = make_map(once, errors(), ANTENNA_M)
-    both, links = make_map(twice, errors(), ANTENNA_M)
+    first, _ = made(once)
+    both, links = made(twice)
     for x in np.arange(20.0, 90.0, 5.0):
         place = np.array([x, away_m])
         before, after = heights_at(first, place), heights_at(both, place)
@@ -146,14 +135,9 @@ def test_a_second_pass_gets_the_surface_of_the_first(away_m: float) -> None:
 
 
 def test_a_street_that_crosses_at_grade_has_one_height_and_one_node_there() -> None:
-    loop = [
-        (0.0, 0.0, 10.0),
-        (100.0, 0.0, 10.0),
-        (100.0, 60.0, 10.0),
-        (50.0, 60.0, 10.0),
-        (50.0, -60.0, 10.0),
-    ]
-    surfaces, links = make_map(drive_along(loop), errors(), ANTENNA_M)
+    corners = [(0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (50.0, 60.0), (50.0, -60.0)]
+    loop = [(east, north, 10.0) for east, north in corners]
+    surfaces, links = made(drive_along(loop))
     heights = [height for _, height in heights_at(surfaces, np.array([50.0, 0.0]))]
     assert heights
     assert np.ptp(heights) < 0.01
@@ -163,34 +147,27 @@ def test_a_street_that_crosses_at_grade_has_one_height_and_one_node_there() -> N
 
 def test_a_bridge_over_the_same_street_is_another_level() -> None:
     truth = short_drive_truth()
-    surfaces, links = make_map(truth, errors(), ANTENNA_M)
+    surfaces, links = made(truth)
     there = sorted(heights_at(surfaces, np.array([100.0, 0.0])))
     levels = [level for level, _ in there]
     assert (min(levels), max(levels)) == (0, 1)
     heights = {level: [h for at, h in there if at == level] for level in (0, 1)}
     assert min(heights[1]) - max(heights[0]) > 4.0
     assert all(np.ptp(of_level) < 0.01 for of_level in heights.values())
-    under, over = (
-        set(surfaces.link_id[(surfaces.level == level) & _near(surfaces, (100.0, 0.0), 12.0)].tolist())
-        for level in (0, 1)
+    centre = FRAME.east_north_from_geodetic_array(
+        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
     )
+    near = np.hypot(*(centre - (100.0, 0.0)).T) <= 12.0
+    under, over = (set(surfaces.link_id[near & (surfaces.level == level)].tolist()) for level in (0, 1))
     assert under
     assert over
     assert not under & over
     assert set(links.level[np.isin(links.link_id, list(over))].tolist()) == {1}
 
 
-def _near(surfaces: RoadSurfaces, place_m: tuple[float, float], radius_m: float) -> npt.NDArray[np.bool_]:
-    centre = FRAME.east_north_from_geodetic_array(
-        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
-    )
-    near: npt.NDArray[np.bool_] = np.hypot(*(centre - np.array(place_m)).T) <= radius_m
-    return near
-
-
 def test_a_link_and_all_its_surfaces_are_on_one_level() -> None:
     for truth in (drive_along(SQUARE), short_drive_truth()):
-        surfaces, links = make_map(truth, errors(), ANTENNA_M)
+        surfaces, links = made(truth)
         level_of = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
         assert [level_of[link] for link in surfaces.link_id.tolist()] == surfaces.level.tolist()
 
@@ -198,8 +175,8 @@ def test_a_link_and_all_its_surfaces_are_on_one_level() -> None:
 def test_reversing_and_standing_add_no_roads() -> None:
     forward = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0)])
     back = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0), (30.0, 0.0, 10.0)], stand=100)
-    once, links_once = make_map(forward, errors(), ANTENNA_M)
-    again, links_again = make_map(back, errors(), ANTENNA_M)
+    once, links_once = made(forward)
+    again, links_again = made(back)
     assert len(again) <= len(once) + 1  # where it turns, samples of both ways may miss one another
     assert len(links_once) == len(links_again) == 1
 
@@ -208,7 +185,7 @@ def test_reversing_and_standing_add_no_roads() -> None:
 def test_links_are_within_the_deviation_of_the_track_everywhere_and_come_near_to_it(seed: int) -> None:
     for truth in (drive_along(SQUARE), short_drive_truth()):
         track = dense(plane(truth)[np.append(True, np.hypot(*np.diff(plane(truth), axis=0).T) > 1e-6)])
-        _, links = make_map(truth, errors(seed), ANTENNA_M)
+        _, links = made(truth, seed)
         lines = [dense(line) for line in link_lines(links)]
         furthest_m = max(furthest(line[::4], track) for line in lines)
         assert 1.2 < furthest_m <= 3.1  # 0.1 m for how densely the lines are sampled
@@ -216,7 +193,7 @@ def test_links_are_within_the_deviation_of_the_track_everywhere_and_come_near_to
 
 
 def test_links_meet_at_their_nodes_and_are_100_to_300_m_long() -> None:
-    _, links = make_map(drive_along(SQUARE), errors(), ANTENNA_M)
+    _, links = made(drive_along(SQUARE))
     lines = link_lines(links)
     nodes: dict[int, Array] = {}
     for start, end, line in zip(links.start_node.tolist(), links.end_node.tolist(), lines, strict=True):
@@ -229,7 +206,7 @@ def test_links_meet_at_their_nodes_and_are_100_to_300_m_long() -> None:
 
 def test_ids_do_not_depend_on_the_seed_and_equal_seeds_give_equal_maps() -> None:
     truth = short_drive_truth()
-    (s1, l1), (s2, l2), (s3, l3) = (make_map(truth, errors(seed), ANTENNA_M) for seed in (1, 1, 2))
+    (s1, l1), (s2, l2), (s3, l3) = (made(truth, seed) for seed in (1, 1, 2))
     assert all((a == b).all() for a, b in zip(s1.heights_m, s2.heights_m, strict=True))
     assert all((a == b).all() for a, b in zip(l1.vertices, l2.vertices, strict=True))
     assert (s1.link_id == s3.link_id).all()
@@ -239,8 +216,8 @@ def test_ids_do_not_depend_on_the_seed_and_equal_seeds_give_equal_maps() -> None
 
 def test_map_sigma_does_not_shift_the_links() -> None:
     truth = drive_along(SQUARE)
-    _, fine = make_map(truth, errors(), ANTENNA_M)
-    _, coarse = make_map(truth, errors(map_sigma_m=0.2), ANTENNA_M)
+    _, fine = made(truth)
+    _, coarse = made(truth, map_sigma_m=0.2)
     assert all((a == b).all() for a, b in zip(fine.vertices, coarse.vertices, strict=True))
 
 

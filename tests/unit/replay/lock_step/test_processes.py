@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import time
 import tomllib
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 from camber.replay.lock_step.processes import Processes
 from camber.schemas.drive import ManifestError
+from support.streams import wait_for
 
 ENDPOINT = "tcp/127.0.0.1:9"  # nobody listens there; a service waits for it and does nothing else
 
@@ -30,13 +30,6 @@ def is_running(pid: int) -> bool:
     except ProcessLookupError:
         return False
     return True
-
-
-def wait_for(what, timeout_s=20.0):
-    deadline = time.monotonic() + timeout_s
-    while not what():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 @pytest.fixture
