@@ -150,9 +150,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("expected", FAULTS)
 def test_a_fault_of_the_file_is_one_line_that_begins_with_its_name(folder: Path, expected: str) -> None:
-    assert refusal(folder, TEXT.replace(*FAULTS[expected])).startswith(
-        f"{folder / 'drive.toml'}: {expected}"
-    )
+    assert refusal(folder, TEXT.replace(*FAULTS[expected])).startswith(f"{folder / 'drive.toml'}: {expected}")
 
 
 @pytest.mark.parametrize(
