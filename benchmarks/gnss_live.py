@@ -15,8 +15,9 @@ from pathlib import Path
 from figure import Figure, percentiles
 
 from camber.runtime.subscription import Subscription
-from support.live_satellites import LiveDrive, caster, live_gnss, serving
+from support.live_satellites import LiveDrive, live_gnss, serving
 from support.running import free_port
+from support.streams import rtklib_caster
 
 MEASURED_S = 60.0
 WARM_S = 15.0
@@ -31,7 +32,7 @@ def latencies_ms(folder: Path) -> tuple[list[float], int]:
     with (
         serving(drive.rover) as rover,
         serving(drive.base) as base,
-        caster(base, port),
+        rtklib_caster(base.number, port),
         live_gnss(folder, rover, port) as gnss,
         Subscription("fix", vehicle="car", connect=[gnss.endpoint]) as listener,
     ):

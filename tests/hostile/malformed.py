@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from random import Random
+from typing import Any
 
 import msgpack
 
@@ -20,6 +21,7 @@ from fuzz.mutation import damaged
 from support.messages import build, message_classes
 
 LARGE_BYTES = 2_000_000
+Make = Callable[[Random, Channel, int], bytes]
 _YEAR_NS = 365 * 86_400 * 1_000_000_000
 
 
@@ -55,7 +57,7 @@ def malformed(
                 if replayed and kind in _WELL_FORMED:
                     continue
                 for _ in range(1 if kind.endswith("large") else of_each):
-                    payload, encoding = make(random, channel, now_ns)
+                    payload, encoding = make(random, channel, now_ns), _encoding(kind, random, channel)
                     _check(channel, kind, payload, encoding, now_ns)
                     yield Malformed(kind, key, payload, encoding, channel.reply is not None)
             if "{service}" not in channel.key:
@@ -75,99 +77,77 @@ def _valid(random: Random, channel: Channel) -> bytes:
     )
 
 
-def _random_bytes(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    return random.randbytes(random.choice((1, 20, 300))), encoding_of(channel.message)
-
-
-def _empty(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    return b"", encoding_of(channel.message)
-
-
-def _no_encoding(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    return _valid(random, channel), random.choice(("zenoh/bytes", "text/plain", "application/msgpack"))
-
-
-def _next_version(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    return _valid(random, channel), encoding_of(channel.message).rpartition(".v")[0] + ".v99"
-
-
-def _wrong_schema(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+def _wrong_schema(random: Random, channel: Channel, now_ns: int) -> bytes:
     """Another message under this one's encoding."""
     other = random.choice([cls for cls in message_classes() if cls is not channel.message])
-    return encode(build(other, random), source="vehicle", sequence=1), encoding_of(channel.message)
+    return encode(build(other, random), source="vehicle", sequence=1)
 
 
-def _truncated(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+def _truncated(random: Random, channel: Channel, now_ns: int) -> bytes:
     payload = _valid(random, channel)
-    return payload[: random.randrange(1, len(payload))], encoding_of(channel.message)
+    return payload[: random.randrange(1, len(payload))]
 
 
-def _damaged(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+def _damaged(random: Random, channel: Channel, now_ns: int) -> bytes:
     while True:
         payload = damaged(random, _valid(random, channel), [_valid(random, channel)])
         if not _decodes(channel, payload):
-            return payload, encoding_of(channel.message)
+            return payload
 
 
-def _claims(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+def _with_header(header: bytes) -> bytes:
+    return struct.pack("<I", len(header)) + header
+
+
+def _packed(random: Random, channel: Channel, values: dict[str, Any]) -> bytes:
+    """A message of these values, which nobody has checked."""
+    sequence = random.randrange(1 << 30)
+    return _with_header(msgpack.packb([channel.message.schema_name(), "vehicle", sequence, values]))
+
+
+def _claims(random: Random, channel: Channel, now_ns: int) -> bytes:
     """Lengths of gigabytes, and nothing behind them."""
     shape = struct.pack("<II", 2**31 - 1, 2**31 - 1)
-    header = msgpack.packb(
-        [
-            channel.message.schema_name(),
-            "vehicle",
-            1,
-            {"time_ns": now_ns, "x": msgpack.ExtType(1, b"<f8" + shape)},
-        ]
-    )
-    return struct.pack("<I", len(header)) + header, encoding_of(channel.message)
+    return _packed(random, channel, {"time_ns": now_ns, "x": msgpack.ExtType(1, b"<f8" + shape)})
 
 
-def _values(*replacements: object) -> Callable[[Random, Channel, int], tuple[bytes, str]]:
+def _values(*replacements: object) -> Make:
     """Right schema and time, and values in it that nothing can have."""
 
-    def make(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+    def make(random: Random, channel: Channel, now_ns: int) -> bytes:
         message = build(channel.message, random, filled=True)
         plain = {
             name: random.choice(replacements) if isinstance(value, float | int | tuple | str) else None
             for name, value in message.__dict__.items()
         }
         plain["time_ns"] = now_ns if len(plain) > 1 else random.choice((-1, 1 << 63, None, "now"))
-        header = msgpack.packb([channel.message.schema_name(), "vehicle", random.randrange(1 << 30), plain])
-        return struct.pack("<I", len(header)) + header, encoding_of(channel.message)
+        return _packed(random, channel, plain)
 
     return make
 
 
-def _unknown_field(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    plain = {"time_ns": now_ns, f"field{random.randrange(1000)}": 1.0}
-    header = msgpack.packb([channel.message.schema_name(), "vehicle", 1, plain])
-    return struct.pack("<I", len(header)) + header, encoding_of(channel.message)
+def _unknown_field(random: Random, channel: Channel, now_ns: int) -> bytes:
+    return _packed(random, channel, {"time_ns": now_ns, f"field{random.randrange(1000)}": 1.0})
 
 
-def _dated(years: float) -> Callable[[Random, Channel, int], tuple[bytes, str]]:
+def _dated(years: float) -> Make:
     """Well-formed, years old or yet to come; as a question, which has no age, damaged beside."""
 
-    def make(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
+    def make(random: Random, channel: Channel, now_ns: int) -> bytes:
         if channel.reply is not None or channel.max_age_s is None:
             return _damaged(random, channel, now_ns)
-        message = build(channel.message, random).model_copy(
-            update={"time_ns": now_ns + round(years * _YEAR_NS)}
-        )
-        return encode(message, source="vehicle", sequence=random.randrange(1 << 30)), encoding_of(
-            channel.message
-        )
+        time_ns = now_ns + round(years * _YEAR_NS)
+        message = build(channel.message, random).model_copy(update={"time_ns": time_ns})
+        return encode(message, source="vehicle", sequence=random.randrange(1 << 30))
 
     return make
 
 
-def _large(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    return random.randbytes(LARGE_BYTES // 8) * 8, encoding_of(channel.message)
-
-
-def _deep(random: Random, channel: Channel, now_ns: int) -> tuple[bytes, str]:
-    header = b"\x91" * 30_000 + b"\xc0"
-    return struct.pack("<I", len(header)) + header, encoding_of(channel.message)
+def _encoding(kind: str, random: Random, channel: Channel) -> str:
+    if kind == "wrong encoding":
+        return random.choice(("zenoh/bytes", "text/plain", "application/msgpack"))
+    right = encoding_of(channel.message)
+    return f"{right.rpartition('.v')[0]}.v99" if kind == "another version" else right
 
 
 def _decodes(channel: Channel, payload: bytes) -> bool:
@@ -178,11 +158,11 @@ def _decodes(channel: Channel, payload: bytes) -> bool:
     return True
 
 
-_KINDS: dict[str, Callable[[Random, Channel, int], tuple[bytes, str]]] = {
-    "random bytes": _random_bytes,
-    "empty": _empty,
-    "wrong encoding": _no_encoding,
-    "another version": _next_version,
+_KINDS: dict[str, Make] = {
+    "random bytes": lambda random, channel, now_ns: random.randbytes(random.choice((1, 20, 300))),
+    "empty": lambda random, channel, now_ns: b"",
+    "wrong encoding": lambda random, channel, now_ns: _valid(random, channel),
+    "another version": lambda random, channel, now_ns: _valid(random, channel),
     "another schema": _wrong_schema,
     "truncated": _truncated,
     "damaged": _damaged,
@@ -193,7 +173,7 @@ _KINDS: dict[str, Callable[[Random, Channel, int], tuple[bytes, str]]] = {
     "unknown field": _unknown_field,
     "years old": _dated(-3.0),
     "years ahead": _dated(3.0),
-    "deep": _deep,
-    "large": _large,
+    "deep": lambda random, channel, now_ns: _with_header(b"\x91" * 30_000 + b"\xc0"),
+    "large": lambda random, channel, now_ns: random.randbytes(LARGE_BYTES // 8) * 8,
 }
 _WELL_FORMED = ("years old", "years ahead")

@@ -21,8 +21,8 @@ from camber.schemas.channels import SERVICES
 from camber.schemas.integrity import Verdict
 from soak.readings import Reading, read
 from support.live_drive import TRUSTED
-from support.live_vehicle import LiveVehicle, Witness, driving, wait_s
-from support.running import free_port, started
+from support.live_vehicle import LiveVehicle, Witness, driving
+from support.running import free_endpoint, started
 
 ALONE_S = 30.0
 RECOVERY_S = 5.0
@@ -87,30 +87,33 @@ class Observed:
         return summary
 
 
-def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Stretch | float | str | int]:
-    """The three stretches, and after how many seconds all services were as calm as before."""
-    vehicle = LiveVehicle(folder, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+@dataclass(frozen=True)
+class Attack:
+    """The drive alone, with the peer and alone again; after how many seconds all services were as calm as before."""
+
+    alone: Stretch
+    during: Stretch
+    after: Stretch
+    calm_after_s: float
+    sent: int
+    """Messages, as the peer reports; 0 where it has failed."""
+    ended: dict[str, str]
+
+
+def attack(folder: Path, count: int, seed: int, rate_hz: float) -> Attack:
+    vehicle = LiveVehicle(folder, free_endpoint(), services=SERVICES)
     with driving(vehicle, live=True) as witness:
         observed = Observed(vehicle, witness)
-        wait_s(ALONE_S)
+        time.sleep(ALONE_S)
         alone = observed.stretch()
         with started("-m", "hostile.peer", vehicle.endpoint, "demo", count, seed, rate_hz) as hostile:
             output, _ = hostile.communicate()
-            code = hostile.returncode
+            print(f"peer: {output.splitlines()[-1]}")
+            sent = 0 if hostile.returncode else json.loads(output.splitlines()[-1])["sent"]
         during = observed.stretch()
         calm_after_s = calm(observed, alone)
-        wait_s(ALONE_S)
-        after = observed.stretch()
-        ended = vehicle.ended()
-        return {
-            "alone": alone,
-            "during": during,
-            "after": after,
-            "calm_after_s": calm_after_s,
-            "peer": output.splitlines()[-1],
-            "peer_code": code,
-            "ended": json.dumps(ended),
-        }
+        time.sleep(ALONE_S)
+        return Attack(alone, during, observed.stretch(), calm_after_s, sent, vehicle.ended())
 
 
 def as_good(stretch: Stretch, alone: Stretch) -> bool:
@@ -125,7 +128,7 @@ def calm(observed: Observed, alone: Stretch, limit_s: float = 60.0) -> float:
     """Seconds until, for a second, no service is busier than it was alone."""
     began_s = time.monotonic()
     while time.monotonic() - began_s < limit_s:
-        wait_s(1.0)
+        time.sleep(1.0)
         now = observed.stretch()
         if all(now.cpu[name] <= alone.cpu[name] + LESS_CALM for name in now.cpu):
             return round(time.monotonic() - began_s - 1.0, 1)
@@ -150,11 +153,7 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     came = attack(Path(tempfile.mkdtemp(prefix="run-", dir=args.out)), args.count, seed, args.rate)
     (args.out / "hostile.json").write_text(json.dumps(came, default=vars, indent=1))
-    alone, during, after = (came[name] for name in ("alone", "during", "after"))
-    assert isinstance(alone, Stretch)
-    assert isinstance(during, Stretch)
-    assert isinstance(after, Stretch)
-    for name, stretch in (("alone", alone), ("during", during), ("after", after)):
+    for name, stretch in (("alone", came.alone), ("during", came.during), ("after", came.after)):
         print(
             f"{name:7} {stretch.seconds:6.1f} s  {stretch.verdicts_hz:5.2f} verdicts/s  right confirmed"
             f" {100 * stretch.right_confirmed:5.1f} %, {stretch.right_confirmed_hz:.2f} a second"
@@ -162,16 +161,15 @@ def main() -> int:
         )
         print(f"        processors {stretch.cpu}")
         print(f"        USS MB     {stretch.uss_mb}")
-    print(f"peer: {came['peer']}\ncalm after {came['calm_after_s']} s")
-    grown = {name: after.uss_mb[name] - alone.uss_mb[name] for name in after.uss_mb}
+    print(f"calm after {came.calm_after_s} s")
+    grown = {name: came.after.uss_mb[name] - came.alone.uss_mb[name] for name in came.after.uss_mb}
     checks = {
-        f"ended: {came['ended']}": came["ended"] == "{}",
-        "a wrong fix was confirmed": not (during.wrong_confirmed or after.wrong_confirmed),
-        "the peer did not say all": came["peer_code"] == 0
-        and json.loads(str(came["peer"]))["sent"] == args.count,
-        "fewer right fixes were confirmed": as_good(during, alone),
-        "fewer right fixes are confirmed afterwards": as_good(after, alone),
-        f"busy after {RECOVERY_S:g} s still": float(str(came["calm_after_s"])) <= RECOVERY_S,
+        f"ended: {came.ended}": not came.ended,
+        "a wrong fix was confirmed": not (came.during.wrong_confirmed or came.after.wrong_confirmed),
+        "the peer did not say all": came.sent == args.count,
+        "fewer right fixes were confirmed": as_good(came.during, came.alone),
+        "fewer right fixes are confirmed afterwards": as_good(came.after, came.alone),
+        f"busy after {RECOVERY_S:g} s still": came.calm_after_s <= RECOVERY_S,
         f"memory grew: {grown}": max(grown.values()) <= MOST_MB,
     }
     wrong = [text for text, right in checks.items() if not right]

@@ -1,15 +1,28 @@
 """The examples do what they say, beside a real replay."""
 
+from __future__ import annotations
+
 import re
 import signal
+import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from camber.replay.short_drive import write_short_drive
 from camber.schemas.channels import BY_NAME
-from support.running import endpoint_of, free_port, kill, process_ids, started, wait_until
+from support.running import (
+    endpoint_of,
+    free_endpoint,
+    kill,
+    process_ids,
+    replaying,
+    started,
+    wait_until,
+)
 
 CONSUMER = Path(__file__).parents[2] / "examples" / "consumer.py"
 USABLE = re.compile(r"3[45]\.\d{8} 13[67]\.\d{8} within \d+\.\d\d m by (rtk|sensors)")
@@ -17,41 +30,34 @@ ANY_LEVEL = ("--set", "alert_limit_m=50")
 """Without a LiDAR the levels of so short a drive are metres: what matters here is which messages arrive."""
 SILENCE = "unknown (nothing new: the last position is too old)"
 
-
 pytestmark = [pytest.mark.slow, pytest.mark.timed]
 
 
+@contextmanager
+def consumer(printed: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """The example, which prints into a file until it is interrupted."""
+    with printed.open("w") as file, started(CONSUMER, *arguments, stdout=file) as process:
+        yield process
+        assert process.poll() is None, "it waits for the vehicle to come back"
+        process.send_signal(signal.SIGINT)
+        process.wait(10.0)
+
+
+@contextmanager
+def of_a_replay(folder: Path, end_s: float, speed: float) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """A replay whose positions a consumer prints into the file `consumer.txt` of the folder; its process and folder."""
+    out = folder / "out"
+    with replaying(write_short_drive(folder / "drive"), out, end_s, speed, *ANY_LEVEL) as replay:
+        vehicle = ("--vehicle", "demo", "--connect", endpoint_of(out), "--replay")
+        with consumer(folder / "consumer.txt", *vehicle):
+            yield replay, out
+
+
 def test_a_consumer_prints_positions_and_says_unknown_when_there_are_none(tmp_path):
-    drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
-    printed = tmp_path / "consumer.txt"
-    with started(
-        "-m",
-        "camber.cli",
-        "replay",
-        drive,
-        "--processes",
-        "--out",
-        out,
-        "--speed",
-        4,
-        "--set",
-        "end_s=12",
-        *ANY_LEVEL,
-        "--quiet",
-    ) as replay:
-        endpoint = endpoint_of(out)
-        with (
-            printed.open("w") as file,
-            started(
-                CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file
-            ) as consumer,
-        ):
-            assert replay.wait(120.0) == 0
-            time.sleep(BY_NAME["position"].max_age_s + 0.5)
-            assert consumer.poll() is None, "it waits for the vehicle to come back"
-            consumer.send_signal(signal.SIGINT)
-            consumer.wait(10.0)
-    lines = printed.read_text().splitlines()
+    with of_a_replay(tmp_path, 12.0, 4.0) as (replay, _):
+        assert replay.wait(120.0) == 0
+        time.sleep(BY_NAME["position"].max_age_s + 0.5)
+    lines = (tmp_path / "consumer.txt").read_text().splitlines()
     assert sum(USABLE.fullmatch(line) is not None for line in lines) > 10
     assert all(USABLE.fullmatch(line) or line.startswith("unknown (") for line in lines), lines
     assert lines[-1] == SILENCE
@@ -59,53 +65,19 @@ def test_a_consumer_prints_positions_and_says_unknown_when_there_are_none(tmp_pa
 
 
 def test_a_consumer_stops_trusting_the_last_position_when_the_judge_is_gone(tmp_path):
-    drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
     printed = tmp_path / "consumer.txt"
-    with started(
-        "-m",
-        "camber.cli",
-        "replay",
-        drive,
-        "--processes",
-        "--out",
-        out,
-        "--speed",
-        3,
-        "--set",
-        "end_s=20",
-        *ANY_LEVEL,
-        "--quiet",
-    ) as replay:
-        endpoint = endpoint_of(out)
-        with (
-            printed.open("w") as file,
-            started(
-                CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file
-            ) as consumer,
-        ):
-            deadline = time.monotonic() + 120.0
-            while "by rtk" not in printed.read_text():
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            kill(process_ids(out)["integrity"], signal.SIGSTOP)
-            while SILENCE not in printed.read_text():
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            kill(process_ids(out)["integrity"], signal.SIGCONT)
-            replay.wait(120.0)
-            consumer.send_signal(signal.SIGINT)
-            consumer.wait(10.0)
+    with of_a_replay(tmp_path, 20.0, 3.0) as (replay, out):
+        wait_until(lambda: "by rtk" in printed.read_text(), timeout_s=120.0, why="no position of RTK")
+        kill(process_ids(out)["integrity"], signal.SIGSTOP)
+        wait_until(lambda: SILENCE in printed.read_text(), timeout_s=120.0, why="it trusts the last position")
+        kill(process_ids(out)["integrity"], signal.SIGCONT)
+        replay.wait(120.0)
 
 
 def test_a_consumer_prints_unknown_before_the_first_message(tmp_path):
     printed = tmp_path / "consumer.txt"
-    with (
-        printed.open("w") as file,
-        started(CONSUMER, "--connect", f"tcp/127.0.0.1:{free_port()}", stdout=file, stderr=file) as consumer,
-    ):
+    with consumer(printed, "--connect", free_endpoint()):
         wait_until(printed.read_text, timeout_s=30.0, why="it says nothing")
-        consumer.send_signal(signal.SIGINT)
-        consumer.wait(10.0)
     assert printed.read_text() == "unknown (no position yet)\n"
 
 

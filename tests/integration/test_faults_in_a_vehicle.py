@@ -17,14 +17,13 @@ import pytest
 import zenoh
 
 from camber.runtime.session import open_session
-from camber.runtime.settings import ZenohSettings
 from camber.schemas.channels import BY_NAME, SERVICES, VEHICLE_SERVICES
 from camber.schemas.integrity import Verdict
 from support import stepped_clock
 from support.fault_figures import LONG, measured
 from support.live_drive import TRUSTED
-from support.live_vehicle import LiveVehicle, Witness, driving, now_ns, wait_s
-from support.running import free_port, started, wait_until
+from support.live_vehicle import LiveVehicle, Witness, driving, now_ns
+from support.running import client_of, free_endpoint, started, wait_until
 from support.small_disk import SmallDisk, small_disk
 
 pytestmark = pytest.mark.slow
@@ -77,7 +76,7 @@ def here(tmp_path_factory) -> Iterator[Here]:
         clock = stepped_clock.make(folder / "clock")
         vehicle = LiveVehicle(
             folder,
-            f"tcp/127.0.0.1:{free_port()}",
+            free_endpoint(),
             services=SERVICES,
             launcher={name: ["-m", "support.stepped_clock", str(clock), name] for name in VEHICLE_SERVICES},
         )
@@ -120,7 +119,7 @@ def without(here: Here, service: str, fault: str) -> Iterator[Away]:
     away = Away(began_s, began_ns)
     yield away
     away.limit_ns = limit_ns = now_ns() + round(AGE_S[service] * _NS)
-    wait_s(AGE_S[service] + BEYOND_S)
+    time.sleep(AGE_S[service] + BEYOND_S)
     assert trusted_of(here.witness, began_s, limit_ns, now_ns()) == []
     late = [v for v in here.witness.messages(Verdict, began_s) if v.time_ns > limit_ns]
     assert {verdict.verdict for verdict in late} <= {"unknown"}, fault
@@ -137,9 +136,8 @@ def without(here: Here, service: str, fault: str) -> Iterator[Away]:
 def test_killed(here: Here, service: str) -> None:
     with without(here, service, f"{service} killed"):
         here.vehicle.kill(service)
-    back_s, back_ns = time.monotonic(), now_ns()
     here.vehicle.start(service)
-    after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
+    after_s = here.witness.wait_for_new_trust(timeout_s=RETURN_S)
     measured(f"{service} killed", confirmed_after_start_s=after_s)
 
 
@@ -150,8 +148,8 @@ def test_frozen(here: Here, service: str) -> None:
             here.vehicle.freeze(service)
     finally:
         here.vehicle.resume(service)
-    back_s, back_ns = time.monotonic(), now_ns()
-    after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
+    back_ns = now_ns()
+    after_s = here.witness.wait_for_new_trust(timeout_s=RETURN_S)
     # What it says on waking of the time that it has missed is passed on by nobody.
     assert trusted_of(here.witness, away.by_s, away.limit_ns, back_ns - _NS) == []
     measured(f"{service} frozen", confirmed_after_going_on_s=after_s)
@@ -160,17 +158,17 @@ def test_frozen(here: Here, service: str) -> None:
 def test_router_killed(here: Here) -> None:
     here.vehicle.kill("router")
     began_s, gone_ns = time.monotonic(), now_ns()
-    wait_s(1.0 + BEYOND_S)
-    back_s, back_ns = time.monotonic(), now_ns()
+    time.sleep(1.0 + BEYOND_S)
+    back_ns = now_ns()
     here.vehicle.start("router")
-    after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
+    after_s = here.witness.wait_for_new_trust(timeout_s=RETURN_S)
     # Measurements of the time without a bus are never published later as if they were new.
     assert trusted_of(here.witness, began_s, gone_ns + _NS, back_ns - _NS) == []
     measured("router killed", confirmed_after_start_s=after_s)
 
 
 def test_a_consumer_that_does_not_keep_up_holds_up_nobody_else(here: Here) -> None:
-    session = open_session(ZenohSettings(mode="client", connect=[here.vehicle.endpoint]))
+    session = open_session(client_of(here.vehicle.endpoint).zenoh)
     ended = threading.Event()
 
     def much() -> None:
@@ -185,7 +183,7 @@ def test_a_consumer_that_does_not_keep_up_holds_up_nobody_else(here: Here) -> No
         thread.start()
         try:
             began_s, began_ns = time.monotonic(), now_ns()
-            wait_s(60.0 if LONG else 4.0)
+            time.sleep(60.0 if LONG else 4.0)
             after_s = here.witness.wait_for_trust(
                 time.monotonic(), timeout_s=RETURN_S, dated_after_ns=began_ns
             )
@@ -206,12 +204,11 @@ def test_the_clock_is_set_wrong_and_right_again(here: Here, offset_s: float) -> 
     stepped_clock.step(here.clock, offset_s)
     began_s, limit_ns = time.monotonic(), now_ns() + _NS // 2
     try:
-        wait_s(1.5 + BEYOND_S)
+        time.sleep(1.5 + BEYOND_S)
         assert trusted_of(here.witness, began_s, limit_ns, now_ns()) == []
     finally:
         stepped_clock.step(here.clock, 0.0)
-    back_s, back_ns = time.monotonic(), now_ns()
-    after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
+    after_s = here.witness.wait_for_new_trust(timeout_s=RETURN_S)
     measured(f"clock {offset_s:+.0f} s", confirmed_after_it_is_right_s=after_s)
 
 
@@ -221,7 +218,7 @@ def test_a_full_disk(here: Here, service: str) -> None:
     began_s, began_ns = time.monotonic(), now_ns()
     here.disks[service].fill()
     try:
-        wait_s(60.0 if LONG else 4.0)
+        time.sleep(60.0 if LONG else 4.0)
         health = wait_until(lambda: here.vehicle.health(service), timeout_s=60.0, why=f"{service} is silent")
         wait_until(
             lambda: met(here, service, ("upload_not_stored", "store_unavailable", "disk")),

@@ -9,8 +9,9 @@ import pytest
 
 from camber.runtime.subscription import Subscription
 from camber.schemas.gnss import Fix, SatelliteVelocity
-from support.live_satellites import LiveDrive, LiveGnss, Port, caster, live_gnss, serving
+from support.live_satellites import LiveDrive, LiveGnss, Port, live_gnss, serving
 from support.running import free_port, wait_until
+from support.streams import rtklib_caster
 
 pytestmark = pytest.mark.timed
 
@@ -29,7 +30,7 @@ class Chain:
 
     def set_up_caster(self, **options: str) -> None:
         self._caster.close()
-        self._caster.enter_context(caster(self.base, self._caster_port, **options))
+        self._caster.enter_context(rtklib_caster(self.base.number, self._caster_port, **options))
 
     def put_caster_away(self) -> None:
         self._caster.close()

@@ -4,34 +4,24 @@ from __future__ import annotations
 
 import re
 import ssl
-import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess
+from camber.transport.tcp_connection import TcpConnection
 from support.hostile_caster import HostileCaster, Peer, Script, certificates
 from support.streams import Reader, wait_for
+
+pytestmark = pytest.mark.usefixtures("no_thread_is_left")
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
 ACCESS = NtripAccess(user="driver", password="geheim")
 OK_2 = b"HTTP/1.1 200 OK\r\nNtrip-Version: Ntrip/2.0\r\nContent-Type: gnss/data\r\n"
-
-
-@pytest.fixture
-def reader() -> Reader:
-    return Reader()
-
-
-@pytest.fixture(autouse=True)
-def no_thread_is_left() -> Iterator[None]:
-    before = set(threading.enumerate())
-    yield
-    wait_for(lambda: set(threading.enumerate()) <= before, within_s=5.0)
 
 
 def opened(
@@ -46,46 +36,47 @@ def opened(
     return open_stream(url, on_data=reader.arrived.set, ntrip=access, silence_s=silence_s)
 
 
-def saying(*parts: bytes) -> Script:
-    """Send this response, and then nothing more."""
+def closing_after(*parts: bytes) -> Script:
+    """Send this response, and close the connection."""
 
     def script(peer: Peer) -> None:
         peer.request()
         for part in parts:
             peer.say(part)
+
+    return script
+
+
+def saying(*parts: bytes) -> Script:
+    """Send this response, and then nothing more."""
+
+    def script(peer: Peer) -> None:
+        closing_after(*parts)(peer)
         peer.wait()
 
     return script
 
 
-def closing_after(*parts: bytes) -> Script:
+def endless(head: bytes, part: bytes) -> Script:
+    """Send this, and then a part again and again."""
+
     def script(peer: Peer) -> None:
-        peer.request()
-        for part in parts:
+        closing_after(head)(peer)
+        while True:
             peer.say(part)
 
     return script
 
 
-GOOD = saying(b"ICY 200 OK\r\n\r\n", b"good")
-
-
-def endless_header(peer: Peer) -> None:
-    peer.request()
-    peer.say(b"HTTP/1.1 200 OK\r\n")
-    while True:
-        peer.say(b"X-Nothing: " + b"x" * 1000 + b"\r\n")
-
-
-def endless_line(peer: Peer) -> None:
-    peer.request()
-    while True:
-        peer.say(b"x" * 1000)
-
-
+ICY = b"ICY 200 OK\r\n"
+CHUNKED = OK_2 + b"Transfer-Encoding: chunked\r\n\r\n"
+GOOD = saying(ICY + b"\r\n", b"good")
 ILL: dict[str, tuple[Script, str]] = {
-    "an endless header": (endless_header, "the header of the answer does not end within 16384 bytes"),
-    "an endless line": (endless_line, "expected an answer of a caster, got 'xxxx"),
+    "an endless header": (
+        endless(b"HTTP/1.1 200 OK\r\n", b"X-Nothing: " + b"x" * 1000 + b"\r\n"),
+        "the header of the answer does not end within 16384 bytes",
+    ),
+    "an endless line": (endless(b"", b"x" * 1000), "expected an answer of a caster, got 'xxxx"),
     "a page": (
         saying(OK_2.replace(b"gnss/data", b"text/html") + b"\r\n<html><body>Welcome</body></html>"),
         "a web page instead of a stream",
@@ -105,15 +96,15 @@ ILL: dict[str, tuple[Script, str]] = {
         "sends us on to 127.0.0.1 (302); not followed",
     ),
     "a chunk longer than it says": (
-        saying(OK_2 + b"Transfer-Encoding: chunked\r\n\r\n", b"4\r\nlong and longer\r\n"),
+        saying(CHUNKED, b"4\r\nlong and longer\r\n"),
         "a chunk is longer than its length",
     ),
     "a chunk of all the world's bytes": (
-        saying(OK_2 + b"Transfer-Encoding: chunked\r\n\r\n", b"fffffffff\r\nsome"),
+        saying(CHUNKED, b"fffffffff\r\nsome"),
         "a chunk of 68719476735 bytes",
     ),
     "the end of all chunks": (
-        saying(OK_2 + b"Transfer-Encoding: chunked\r\n\r\n", b"0\r\n\r\n"),
+        saying(CHUNKED, b"0\r\n\r\n"),
         "the caster ended the stream",
     ),
     "closed without a word": (closing_after(), "the other side closed the connection"),
@@ -158,32 +149,13 @@ def test_dropping_caster_is_contacted_with_growing_pauses(reader: Reader) -> Non
         assert caster.connections <= 6  # pauses of 0.1, 0.2, 0.4, 0.8, 1.6 s at least
 
 
-def test_silent_caster_is_reported(reader: Reader) -> None:
-    silent = saying(b"ICY 200 OK\r\n")
+@pytest.mark.parametrize(
+    "silent",
+    [saying(ICY), saying(CHUNKED + b"1000\r\n"), endless(ICY, b"Server: x\r\n" * 1000)],
+    ids=["nothing", "lengths without bytes", "a header of revision 1 that never ends"],
+)
+def test_a_silent_caster_is_reported(silent: Script, reader: Reader) -> None:
     with HostileCaster(silent, GOOD) as caster, closing(opened(caster, reader, silence_s=0.4)) as stream:
-        assert reader.until(stream, bool) == b"good"
-        assert stream.last_failure == "silent for 0.4 s"
-
-
-def test_lengths_without_bytes_are_silence(reader: Reader) -> None:
-    def stingy(peer: Peer) -> None:
-        peer.request()
-        peer.say(OK_2 + b"Transfer-Encoding: chunked\r\n\r\n1000\r\n")
-        peer.wait()
-
-    with HostileCaster(stingy, GOOD) as caster, closing(opened(caster, reader, silence_s=0.4)) as stream:
-        assert reader.until(stream, bool) == b"good"
-        assert stream.last_failure == "silent for 0.4 s"
-
-
-def test_a_header_that_never_ends_after_the_answer_of_revision_1_is_silence(reader: Reader) -> None:
-    def script(peer: Peer) -> None:
-        peer.request()
-        peer.say(b"ICY 200 OK\r\n")
-        while True:
-            peer.say(b"Server: x\r\n" * 1000)
-
-    with HostileCaster(script, GOOD) as caster, closing(opened(caster, reader, silence_s=0.4)) as stream:
         assert reader.until(stream, bool) == b"good"
         assert stream.last_failure == "silent for 0.4 s"
 
@@ -205,8 +177,10 @@ def test_a_caster_that_waits_for_a_position_gets_it_before_anything_has_come(rea
 
 def test_missing_position_is_given_as_reason_of_silence(reader: Reader) -> None:
     access = NtripAccess(position=lambda: None)
-    silent = saying(b"ICY 200 OK\r\n")
-    with HostileCaster(silent) as caster, closing(opened(caster, reader, access, silence_s=0.3)) as stream:
+    with (
+        HostileCaster(saying(ICY)) as caster,
+        closing(opened(caster, reader, access, silence_s=0.3)) as stream,
+    ):
         wait_for(lambda: stream.failures > 0)
         assert stream.last_failure == "silent for 0.3 s; no position has been sent to the caster yet"
 
@@ -236,7 +210,13 @@ def test_positions_come_at_most_once_a_second_across_connections_too(answer: byt
 def test_a_caster_that_does_not_take_positions_is_still_read(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.transport.tcp_connection.TcpConnection.send", refusing_sentences())
+    send = TcpConnection.send
+
+    def without_sentences(connection: TcpConnection, data: bytes) -> int:
+        """As with a full queue."""
+        return 0 if data.startswith(b"$") else send(connection, data)
+
+    monkeypatch.setattr(TcpConnection, "send", without_sentences)
     access = NtripAccess(position=lambda: GGA, version=1)
 
     def script(peer: Peer) -> None:
@@ -250,14 +230,6 @@ def test_a_caster_that_does_not_take_positions_is_still_read(
     with HostileCaster(script) as caster, closing(opened(caster, reader, access)) as stream:
         assert reader.until(stream, lambda data: len(data) == 20)
         assert stream.failures == 0
-
-
-def refusing_sentences() -> Callable[..., int]:
-    """A `send` that sends no sentences, as with a full queue."""
-    from camber.transport.tcp_connection import TcpConnection
-
-    send = TcpConnection.send
-    return lambda self, data: 0 if data.startswith(b"$") else send(self, data)
 
 
 def test_a_caster_that_answers_a_letter_at_a_time_is_given_up_in_bounded_time(
@@ -277,16 +249,22 @@ def test_a_caster_that_answers_a_letter_at_a_time_is_given_up_in_bounded_time(
         assert stream.last_failure == "the caster has not answered in 0.5 s"
 
 
-# With TLS.
+@pytest.fixture(scope="module")
+def caster_tls(tmp_path_factory: pytest.TempPathFactory) -> tuple[NtripAccess, ssl.SSLContext]:
+    """Access by an authority, and the context of a caster that it has certified."""
+    authority, tls = certificates(tmp_path_factory.mktemp("tls"), "caster.example", "127.0.0.1")
+    return replace(ACCESS, ca_file=authority), tls
 
 
-def test_a_stream_in_chunks_comes_through_tls_byte_for_byte(reader: Reader, tmp_path: Path) -> None:
+def test_a_stream_in_chunks_comes_through_tls_byte_for_byte(
+    reader: Reader, caster_tls: tuple[NtripAccess, ssl.SSLContext]
+) -> None:
     content = bytes(range(256)) * 400
-    authority, tls = certificates(tmp_path, "caster.example", address="127.0.0.1")
+    access, tls = caster_tls
 
     def script(peer: Peer) -> None:
         peer.request()
-        peer.say(OK_2 + b"Transfer-Encoding: chunked\r\n\r\n")
+        peer.say(CHUNKED)
         at, size = 0, 1
         while at < len(content):
             part = content[at : at + size]
@@ -294,7 +272,6 @@ def test_a_stream_in_chunks_comes_through_tls_byte_for_byte(reader: Reader, tmp_
             at, size = at + size, size * 3 % 5000 + 1
         peer.wait()
 
-    access = NtripAccess(user="driver", password="geheim", ca_file=authority)
     with (
         HostileCaster(script, tls=tls) as caster,
         closing(opened(caster, reader, access, tls=True)) as stream,
@@ -303,11 +280,15 @@ def test_a_stream_in_chunks_comes_through_tls_byte_for_byte(reader: Reader, tmp_
         assert stream.failures == 0
 
 
-def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
+def test_certificates_are_checked(
+    reader: Reader, tmp_path: Path, caster_tls: tuple[NtripAccess, ssl.SSLContext]
+) -> None:
     asked: list[bytes] = []
-    authority, tls = certificates(tmp_path, "caster.example", address="127.0.0.1")
-    other, _ = certificates(tmp_path, "other.example", address="127.0.0.1")
+    _, tls = caster_tls
+    other, _ = certificates(tmp_path, "other.example", "127.0.0.1")
     server_name, of_another = certificates(tmp_path, "third.example")
+    empty = tmp_path / "empty.pem"
+    empty.write_text("no certificate\n")
 
     def script(peer: Peer) -> None:
         asked.append(peer.request())
@@ -317,9 +298,9 @@ def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
         (tls, other, "its certificate is not accepted: "),
         (of_another, server_name, "its certificate is not accepted: IP address mismatch"),
         (tls, tmp_path / "missing.pem", "missing.pem: No such file"),
-        (tls, empty_file(tmp_path), "empty.pem: expected certificates in PEM"),
+        (tls, empty, "empty.pem: expected certificates in PEM"),
     ]:
-        access = NtripAccess(user="driver", password="geheim", ca_file=trusted)
+        access = replace(ACCESS, ca_file=trusted)
         with (
             HostileCaster(script, tls=presented) as caster,
             closing(opened(caster, reader, access, tls=True)) as stream,
@@ -327,13 +308,6 @@ def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
             wait_for(lambda stream=stream: stream.failures > 0)
             assert reason in str(stream.last_failure)
     assert asked == []  # no password has left us
-    assert authority.exists()
-
-
-def empty_file(folder: Path) -> Path:
-    path = folder / "empty.pem"
-    path.write_text("no certificate\n")
-    return path
 
 
 def test_a_caster_without_tls_gets_no_password(reader: Reader) -> None:
@@ -350,18 +324,15 @@ def test_a_caster_without_tls_gets_no_password(reader: Reader) -> None:
     assert not any(re.search(rb"Authorization|GET", data) for data in sentences)
 
 
-# The end.
-
-
-def test_closing_ends_the_thread_in_whatever_it_waits_for(reader: Reader, tmp_path: Path) -> None:
-    authority, tls = certificates(tmp_path, "caster.example", address="127.0.0.1")
-    access = NtripAccess(user="driver", password="geheim", ca_file=authority)
-    dumb: Script = lambda peer: peer.wait()  # noqa: E731
+def test_closing_ends_the_thread_in_whatever_it_waits_for(
+    reader: Reader, caster_tls: tuple[NtripAccess, ssl.SSLContext]
+) -> None:
+    access, tls = caster_tls
     cases: list[tuple[Script, ssl.SSLContext | None, bool]] = [
-        (dumb, None, True),  # the handshake
-        (dumb, None, False),  # the answer
-        (dumb, tls, True),  # the answer, within TLS
-        (saying(b"ICY 200 OK\r\n"), None, False),  # bytes
+        (Peer.wait, None, True),  # the handshake
+        (Peer.wait, None, False),  # the answer
+        (Peer.wait, tls, True),  # the answer, within TLS
+        (saying(ICY), None, False),  # bytes
         (closing_after(b"HTTP/1.1 401 No\r\n\r\n"), None, False),  # the next attempt
     ]
     for script, server_tls, client_tls in cases:

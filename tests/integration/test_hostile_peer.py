@@ -20,9 +20,18 @@ from camber.schemas.integrity import Verdict
 from hostile.malformed import channels, malformed
 from soak.readings import read
 from support.fault_figures import measured
-from support.live_drive import write_drive
+from support.live_drive import BEGIN_S, write_drive
 from support.live_vehicle import LiveVehicle, driving, now_ns
-from support.running import endpoint_of, free_port, payloads, process_ids, started, summary_of, wait_until
+from support.running import (
+    endpoint_of,
+    free_endpoint,
+    payloads,
+    process_ids,
+    replaying,
+    started,
+    summary_of,
+    wait_until,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -30,6 +39,7 @@ COUNT = 10_000  # in each of the two tests
 SEED = 11
 RATE_HZ = 1_000.0
 REPLAY_S = 16.0
+END_S = BEGIN_S + REPLAY_S
 MOST_MB = 40.0  # of one service: its queues, full of large messages, and what an allocator keeps of them
 
 
@@ -57,14 +67,6 @@ def test_every_input_and_query_is_attacked_by_every_kind():
     assert len({(item.key, item.kind) for item in made}) == len(keys) * len({item.kind for item in made})
 
 
-def replay(manifest: Path, out: Path, speed: object):
-    end_s = 54.0 + REPLAY_S
-    return started(
-        "-m", "camber.cli", "replay", manifest, "--processes", "--out", out, "--quiet",
-        "--set", f"end_s={end_s}", "--speed", speed,
-    )  # fmt: skip
-
-
 def verdicts(out: Path) -> list[bytes]:
     """The bytes of the verdicts of the judge; the peer never uses that source name."""
     verdicts = []
@@ -80,11 +82,11 @@ def verdicts(out: Path) -> list[bytes]:
 
 def test_a_peer_with_malformed_messages_does_not_change_a_replay(tmp_path):
     manifest = write_drive(tmp_path / "drive")
-    with replay(manifest, tmp_path / "alone", "max") as alone:
+    with replaying(manifest, tmp_path / "alone", END_S, "max") as alone:
         output, _ = alone.communicate(timeout=300.0)
         assert alone.returncode == 0, output
     out = tmp_path / "attacked"
-    with replay(manifest, out, 1) as attacked:
+    with replaying(manifest, out, END_S, 1) as attacked:
         wait_until(lambda: process_ids(out), timeout_s=180.0, why="no services were started")
         with peer(endpoint_of(out), COUNT, 2 * RATE_HZ, "replayed") as hostile:
             services = process_ids(out)
@@ -102,7 +104,7 @@ def test_a_peer_with_malformed_messages_does_not_change_a_replay(tmp_path):
 
 
 def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path):
-    vehicle = LiveVehicle(tmp_path, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+    vehicle = LiveVehicle(tmp_path, free_endpoint(), services=SERVICES)
     with driving(vehicle, live=True) as witness:
         before = {name: read(process.pid, 0.0) for name, process in vehicle.running.items()}
         began_s = time.monotonic()
@@ -110,8 +112,7 @@ def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path
             witness.wait_for_trust(time.monotonic(), timeout_s=180.0)
             assert hostile.poll() is None, "the peer was over before anything was confirmed"
             kinds = sent_by(hostile)
-        ended_s, ended_ns = time.monotonic(), now_ns()
-        after_s = witness.wait_for_trust(ended_s, timeout_s=180.0, dated_after_ns=ended_ns)
+        after_s = witness.wait_for_new_trust(timeout_s=180.0)
         verdict_counts = witness.verdict_counts(began_s)
         assert vehicle.ended() == {}
         assert all(vehicle.health(name, timeout_s=20.0).status == "ok" for name in SERVICES)

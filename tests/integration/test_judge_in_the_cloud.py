@@ -8,17 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.runtime.bus import Bus
-from camber.runtime.clock import SystemClock
-from camber.runtime.session import open_session
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode
 from camber.schemas.gnss import Estimates, EstimatesRequest
 from support.judges_inputs import outcome, recorded_inputs
-from support.running import free_port, started, wait_until
-from support.slow_link import SlowLink
+from support.relay import Relay
+from support.running import CLOCK, bus_of, camber_started, free_endpoint, loopback_router, wait_until
 
 pytestmark = pytest.mark.timed
 
@@ -27,24 +23,15 @@ DURATION_S = 12.0
 ATTEMPTS = 4
 STALL_S = 0.02
 """If this machine delays a thread for longer, inputs of an epoch may arrive too late to be used."""
-CLOCK = SystemClock()
 PUBLISHED_BY = {"motion": "vehicle", "antenna_height": "antenna_height", "pose": "localizer"}
-
-
-def client(endpoint: str, vehicle: str) -> ServiceSettings:
-    return ServiceSettings(vehicle=vehicle, zenoh=ZenohSettings(mode="client", connect=[endpoint]))
 
 
 class Vehicle:
     """All services but the judge: they say what was recorded, and have no other estimates of a fix."""
 
     def __init__(self, name: str, endpoint: str) -> None:
-        self.name = name
-        settings = client(endpoint, name)
-        self.buses = {
-            service: Bus(open_session(settings.zenoh), settings, service, CLOCK)
-            for service in ("vehicle", "gnss", "localizer", "antenna_height", "map_server")
-        }
+        services = ("vehicle", "gnss", "localizer", "antenna_height", "map_server")
+        self.buses = {service: bus_of(endpoint, service, name) for service in services}
         self.buses["gnss"].answer(BY_NAME["estimates"])
         for bus in self.buses.values():
             bus.announce()
@@ -57,12 +44,9 @@ class Vehicle:
         while not self.ended.is_set():
             bus.next_event(0.1)
             for query in bus.pop_queries("estimates"):
-                request = decode(EstimatesRequest, query.payload.to_bytes()).message
+                fix_id = decode(EstimatesRequest, query.payload.to_bytes()).message.fix_id
                 with query:
-                    bus.reply(
-                        query,
-                        Estimates(time_ns=CLOCK.now_ns(), fix_id=request.fix_id, status="unavailable"),
-                    )
+                    bus.reply(query, Estimates(time_ns=CLOCK.now_ns(), fix_id=fix_id, status="unavailable"))
 
     def say(self, name, message) -> None:
         self.buses[PUBLISHED_BY.get(name, "gnss")].publish(name, message)
@@ -110,19 +94,17 @@ class Stalls(threading.Thread):
 
 def played(inputs: list) -> tuple[dict[str, Verdicts], float]:
     """Each judge's verdicts on what was recorded, and for how long this machine stalled."""
-    ports = {"vehicle": free_port(), "cloud": free_port()}
-    near, far = (f"tcp/127.0.0.1:{ports[place]}" for place in ("vehicle", "cloud"))
-    judges = {"in_vehicle": (near, 0.0), "in_cloud": (far, DELAY_S + 0.05)}
     stalls = Stalls()
     with ExitStack() as stack:
-        link = stack.enter_context(SlowLink(ports["vehicle"], DELAY_S))
-        stack.enter_context(started("-m", "camber.cli", "router", "--listen", near))
-        beyond = ["router", "--listen", far, "--connect", f"tcp/127.0.0.1:{link.port}"]
-        stack.enter_context(started("-m", "camber.cli", *beyond))
+        near, far = stack.enter_context(loopback_router()), free_endpoint()
+        link = stack.enter_context(Relay(int(near.rpartition(":")[2]), DELAY_S))
+        beyond = ("--listen", far, "--connect", f"tcp/127.0.0.1:{link.port}")
+        stack.enter_context(camber_started("router", *beyond))
+        judges = {"in_vehicle": (near, 0.0), "in_cloud": (far, DELAY_S + 0.05)}
         for name, (endpoint, delay_s) in judges.items():
             bus = ["--zenoh.mode", "client", "--zenoh.connect", f'["{endpoint}"]']
             options = ["--vehicle", name, "--link-delay-s", str(delay_s)]
-            stack.enter_context(started("-m", "camber.cli", "integrity", *options, *bus))
+            stack.enter_context(camber_started("integrity", *options, *bus))
         vehicles, verdicts = {}, {}
         for name in judges:
             vehicles[name] = Vehicle(name, near)

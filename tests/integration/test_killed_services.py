@@ -4,8 +4,13 @@ Measured in the drive's own time, so that a slow machine changes nothing: what t
 away, and how many epochs with a right fix pass from its return to the first confirmed position.
 """
 
+from __future__ import annotations
+
 import signal
+import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,12 +26,13 @@ from support.running import (
     kill,
     process_ids,
     recorded,
-    started,
+    replaying,
     summary_of,
     wait_until,
 )
 
-SPEED = 2.0
+pytestmark = pytest.mark.slow
+
 END_S = 110.0
 RETURN_S = 5.0  # of right fixes
 REASON = {
@@ -55,10 +61,17 @@ def right_for(from_s: float, length_s: float) -> bool:
 def drive_without_given_pose(folder: Path) -> Path:
     """Makes a localizer that returns start from fixes, as on the road."""
     manifest = write_short_drive(folder)
-    text = manifest.read_text()
-    head, _, _ = text.partition("[initial_pose]")
-    manifest.write_text(head)
+    manifest.write_text(manifest.read_text().partition("[initial_pose]")[0])
     return manifest
+
+
+@contextmanager
+def sabotaging(manifest: Path, out: Path, end_s: float, speed: float) -> Iterator[Saboteur]:
+    with (
+        replaying(manifest, out, end_s, speed) as replay,
+        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
+    ):
+        yield Saboteur(replay, out, listener)
 
 
 @dataclass
@@ -70,10 +83,15 @@ class Kill:
 class Saboteur:
     """Kills one service after the other, each as soon as positions are confirmed again."""
 
-    def __init__(self, out: Path, listener: Subscription) -> None:
-        self.out = out
-        self.listener = listener
+    def __init__(self, replay: subprocess.Popen[str], out: Path, listener: Subscription) -> None:
+        self.replay, self.out, self.listener = replay, out, listener
         self.kills: list[Kill] = []
+
+    def wait_for_end(self) -> str:
+        """Output of the replay."""
+        output, _ = self.replay.communicate(timeout=240.0)
+        assert self.replay.returncode == 0, output
+        return output
 
     def sabotage(self, service: str, *, from_s: float) -> None:
         kill_s = self.wait_for_good_time(from_s, 1.5 + OLDEST_S.get(service, 0.0))
@@ -110,32 +128,12 @@ class Saboteur:
         return verdict
 
 
-@pytest.mark.slow
 def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_when_it_is_back(tmp_path):
-    drive = drive_without_given_pose(tmp_path / "drive")
-    out = tmp_path / "out"
-    with (
-        started(
-            "-m",
-            "camber.cli",
-            "replay",
-            drive,
-            "--processes",
-            "--out",
-            out,
-            "--speed",
-            SPEED,
-            "--set",
-            f"end_s={END_S}",
-            "--quiet",
-        ) as replay,
-        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
-    ):
-        saboteur = Saboteur(out, listener)
+    manifest, out = drive_without_given_pose(tmp_path / "drive"), tmp_path / "out"
+    with sabotaging(manifest, out, END_S, 2.0) as saboteur:
         for service in ("localizer", "gnss", "map_update", "antenna_height", "map_server", "integrity"):
             saboteur.sabotage(service, from_s=16.0)  # the vehicle moves: a start needs a direction
-        output, _ = replay.communicate(timeout=240.0)
-        assert replay.returncode == 0, output
+        output = saboteur.wait_for_end()
     summary = summary_of(out)
     assert summary["confirmed"]["wrong"] == 0
     assert summary["confirmed"]["count"] > 100
@@ -180,28 +178,9 @@ def right_epochs_to_return(event: Kill, verdicts) -> int:
     return sum(right(drive_s(v.time_ns)) for v in later if v.time_ns < first.time_ns)
 
 
-@pytest.mark.slow
 def test_a_replay_goes_on_without_a_frozen_service_until_it_resumes(tmp_path):
-    drive = drive_without_given_pose(tmp_path / "drive")
-    out = tmp_path / "out"
-    with (
-        started(
-            "-m",
-            "camber.cli",
-            "replay",
-            drive,
-            "--processes",
-            "--out",
-            out,
-            "--speed",
-            3,
-            "--set",
-            f"end_s={END_S}",
-            "--quiet",
-        ) as replay,
-        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
-    ):
-        saboteur = Saboteur(out, listener)
+    manifest, out = drive_without_given_pose(tmp_path / "drive"), tmp_path / "out"
+    with sabotaging(manifest, out, END_S, 3.0) as saboteur:
         frozen_s = saboteur.wait_for_good_time(8.0, 3.5)
         pid = process_ids(out)["antenna_height"]
         kill(pid, signal.SIGSTOP)
@@ -212,36 +191,16 @@ def test_a_replay_goes_on_without_a_frozen_service_until_it_resumes(tmp_path):
             assert time.monotonic() - began < 60.0, "the barrier waits for a frozen service"
         kill(pid, signal.SIGCONT)
         back_s = saboteur.wait_for_good_time(frozen_s, 1.5)
-        output, _ = replay.communicate(timeout=180.0)
-        assert replay.returncode == 0, output
+        saboteur.wait_for_end()
     assert back_s > frozen_s
     assert summary_of(out)["confirmed"]["wrong"] == 0
 
 
-@pytest.mark.slow
 def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_in_mid_drive(tmp_path):
-    drive = write_short_drive(tmp_path / "drive")
     out = tmp_path / "out"
-    with (
-        started(
-            "-m",
-            "camber.cli",
-            "replay",
-            drive,
-            "--processes",
-            "--out",
-            out,
-            "--speed",
-            3,
-            "--set",
-            "end_s=63",
-            "--quiet",
-        ) as replay,
-        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
-    ):
-        Saboteur(out, listener).sabotage("localizer", from_s=35.8)
-        output, _ = replay.communicate(timeout=180.0)
-        assert replay.returncode == 0, output
+    with sabotaging(write_short_drive(tmp_path / "drive"), out, 63.0, 3.0) as saboteur:
+        saboteur.sabotage("localizer", from_s=35.8)
+        saboteur.wait_for_end()
     verdicts = [item.message for item in recorded(out)["verdict"]]
     last_s = max(drive_s(v.time_ns) for v in verdicts if v.verdict == "confirmed")
     assert last_s > 60.0

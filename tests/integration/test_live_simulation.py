@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +21,7 @@ from camber.runtime.subscription import Subscription
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
-from support.running import camber, free_port, started
+from support.running import camber, camber_started, free_endpoint, loopback_router
 
 pytestmark = pytest.mark.timed
 
@@ -28,22 +29,24 @@ DURATION_S = 8
 RATE_HZ = 10
 NS = 1_000_000_000
 GPS_EPOCH_UNIX_S = 315_964_800
-SCENARIO = (
-    "overpass",
-    "--set", f"duration_s={DURATION_S}",
-    "--set", "lidar.beams=32",
-    "--set", "lidar.traffic=2",
-    "--set", "satellites.streams=false",
-)  # fmt: skip
+SCENARIO = ("--set", f"duration_s={DURATION_S}", "--set", "lidar.beams=32", "--set", "lidar.traffic=2")
 
 
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    with started("-m", "camber.cli", "router", "--listen", where) as router:
-        assert router.stdout is not None
-        assert "listens" in router.stdout.readline()
-        yield where
+    with loopback_router() as endpoint:
+        yield endpoint
+
+
+@contextmanager
+def simulating(log: Path, scenario: str, *arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """`camber simulate --live`, which logs into a file."""
+    no_streams = ("--set", "satellites.streams=false", "--live")
+    with (
+        log.open("w") as file,
+        camber_started("simulate", scenario, *no_streams, *arguments, stdout=file) as process,
+    ):
+        yield process
 
 
 def received_while(process: subprocess.Popen[str], listener: Subscription) -> list[Any]:
@@ -63,12 +66,8 @@ def test_every_message_of_the_drive_is_published_in_order_and_dated_now(
     log = tmp_path / "log"
     with (
         Subscription("sweep", "motion", "receiver_bytes", vehicle="car", connect=[endpoint]) as listener,
-        log.open("w") as file,
-        started(
-            "-m", "camber.cli", "simulate", *SCENARIO, "--live", "--out", tmp_path / "drive",
-            "--connect", endpoint, stdout=file,
-        ) as process,
-    ):  # fmt: skip
+        simulating(log, "overpass", *SCENARIO, "--out", tmp_path / "drive", "--connect", endpoint) as process,
+    ):
         received = received_while(process, listener)
         refused = listener.refused
     assert process.returncode == 0, log.read_text()
@@ -102,11 +101,9 @@ def test_a_drive_in_the_future_is_fed_at_its_time_with_raw_observations(
     log = tmp_path / "log"
     with (
         Subscription("receiver_bytes", vehicle="raw", connect=[endpoint]) as listener,
-        log.open("w") as file,
-        started(
-            "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=4", "--set", "satellites.rate_hz=2",
-            "--set", "satellites.streams=false", "--live", "--starts-in", "25", "--out", tmp_path / "drive",
-            "--connect", endpoint, "--vehicle", "raw", stdout=file,
+        simulating(
+            log, "open-sky", "--set", "duration_s=4", "--set", "satellites.rate_hz=2", "--starts-in", "25",
+            "--out", tmp_path / "drive", "--connect", endpoint, "--vehicle", "raw",
         ) as process,
     ):  # fmt: skip
         received = received_while(process, listener)
@@ -125,33 +122,31 @@ def test_a_drive_in_the_future_is_fed_at_its_time_with_raw_observations(
 def test_sigterm_ends_it_without_leftovers(
     endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
     with (
         Subscription("motion", vehicle="other", connect=[endpoint]) as listener,
-        started(
-            "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=600",
-            "--set", "satellites.rate_hz=1", "--set", "satellites.streams=false", "--live",
+        simulating(
+            tmp_path / "log", "open-sky", "--set", "duration_s=600", "--set", "satellites.rate_hz=1",
             "--connect", endpoint, "--vehicle", "other",
         ) as process,
     ):  # fmt: skip
         assert listener.next(timeout_s=120.0) is not None
-        assert list(tmp_path.iterdir()) != []
+        assert list(folder.iterdir()) != []
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
-    assert list(tmp_path.iterdir()) == []
+    assert list(folder.iterdir()) == []
 
 
 def test_it_waits_for_a_router_and_says_so(tmp_path: Path) -> None:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    log = tmp_path / "log"
-    with log.open("w") as file, started(
-        "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=3", "--set", "satellites.streams=false",
-        "--live", "--out", tmp_path / "drive", "--connect", where, stdout=file,
-    ) as process:  # fmt: skip
+    where, log = free_endpoint(), tmp_path / "log"
+    arguments = ("--set", "duration_s=3", "--out", tmp_path / "drive", "--connect", where)
+    with simulating(log, "open-sky", *arguments) as process:
         while "waiting" not in log.read_text():
             assert process.poll() is None, log.read_text()
             time.sleep(0.1)
-        with started("-m", "camber.cli", "router", "--listen", where, stdout=subprocess.DEVNULL):
+        with loopback_router(where):
             assert process.wait(60.0) == 0
     lines = [line for line in log.read_text().splitlines() if "waiting" in line]
     assert len(lines) == 1

@@ -5,7 +5,6 @@ Four services that only pass on what they have seen, over real sessions, in thre
 """
 
 import hashlib
-import socket
 import threading
 import time
 from collections import defaultdict
@@ -25,6 +24,7 @@ from camber.schemas.channels import BY_NAME, FEEDER, inputs_of, outputs_of
 from camber.schemas.codec import decode, encode
 from camber.schemas.health import Done, Tick
 from support.messages import build
+from support.running import free_endpoint
 
 START_NS = 1_300_000_000 * 1_000_000_000
 STEP_NS = 100_000_000
@@ -83,11 +83,8 @@ class Lossy(LockStepBus):
             return item
         if name == "tick" or name.startswith("done."):
             return None if self.loss.takes(published(item.data)) else item
-        return (
-            item._replace(attachment=None)
-            if item.attachment and self.loss.takes(published(item.attachment))
-            else item
-        )
+        lost = item.attachment and self.loss.takes(published(item.attachment))
+        return item._replace(attachment=None) if lost else item
 
 
 def published(data):
@@ -100,16 +97,11 @@ def published(data):
         return done.service, done.index
 
 
-def settings_of(endpoint):
-    return ServiceSettings(
-        vehicle="lossy", zenoh=ZenohSettings(mode="client", connect=[endpoint], listen=[]), clock="replay"
-    )
-
-
 def replay(endpoint, receiver="", loss=None):
     """Feed a drive; `receiver` suffers the loss. Returns the bytes of all keys."""
     recording = defaultdict(list)
-    settings = settings_of(endpoint)
+    zenoh = ZenohSettings(mode="client", connect=[endpoint], listen=[])
+    settings = ServiceSettings(vehicle="lossy", zenoh=zenoh, clock="replay")
     with ExitStack() as stack:
         feeder = stack.enter_context(
             Feeder(settings, FED, observer=lambda key, data, _ns: recording[key].append(data))
@@ -142,9 +134,7 @@ def replay(endpoint, receiver="", loss=None):
 
 @pytest.fixture(scope="module")
 def endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    address = free_endpoint()
     router = open_session(ZenohSettings(mode="router", connect=[], listen=[address]))
     yield address
     router.close()

@@ -1,5 +1,6 @@
 """The queue between workers: divided by shards, answered after the commit, lost without loss."""
 
+import asyncio
 import shutil
 import threading
 from collections import Counter
@@ -15,7 +16,7 @@ from camber.map_update.stores.shards import Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import Outcome
 from support.contributions import NOW_NS, contribution
-from support.databases import NatsServer, in_a_loop, needs_nats, running
+from support.databases import NatsServer, needs_nats, running
 from support.running import wait_until
 
 pytestmark = needs_nats
@@ -175,8 +176,8 @@ def test_what_is_no_message_is_dropped_and_does_not_stop_the_others(server, tmp_
 
     with open_sender(server) as sender, storing(server, tmp_path, "world") as workers:
         assert sent(sender, contribution("u1"))[0] in ("stored", "duplicate")
-        in_a_loop(publish(b"no message"))
-        in_a_loop(publish(pack_contributions("x", [QueuedContribution(contribution("u2"), None)])[:-7]))
+        asyncio.run(publish(b"no message"))
+        asyncio.run(publish(pack_contributions("x", [QueuedContribution(contribution("u2"), None)])[:-7]))
         assert sent(sender, contribution("u3"))[0] in ("stored", "duplicate")
         assert workers["world"].rounds >= 2
 

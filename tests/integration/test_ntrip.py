@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-import socket
-import subprocess
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import pytest
 
 from camber.formats.rtcm.writer import format_reference_station
-from camber.transport.byte_streams import open_stream
+from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess
 from support.hostile_caster import HostileCaster, Peer
-from support.streams import Reader, wait_for
+from support.running import free_port
+from support.streams import Reader, rtklib_caster, wait_for
+
+pytestmark = pytest.mark.usefixtures("no_thread_is_left")
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
 ACCESS = NtripAccess(user="driver", password="geheim")
@@ -53,54 +52,23 @@ class Base:
                     seen = end + 1
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-    return port
-
-
 @contextmanager
-def caster(
-    base: HostileCaster, port: int, folder: Path, password: str = "geheim"
-) -> Iterator[subprocess.Popen[bytes]]:
-    """A caster with the mount point BASE, which forwards the data of its clients to the base station."""
-    program = shutil.which("str2str")
-    if program is None:
-        pytest.skip("str2str of RTKLIB is not installed")
-    process = subprocess.Popen(
-        [
-            *(program, "-in", f"tcpcli://127.0.0.1:{base.port}", "-b", "1", "-r", "200"),
-            *("-out", f"ntripc://driver:{password}@:{port}/BASE:base"),
-        ],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        wait_for(lambda: listens(port))
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+def stream_of(
+    port: int,
+    reader: Reader,
+    access: NtripAccess | None = ACCESS,
+    *,
+    mountpoint: str = "BASE",
+    silence_s: float = 15.0,
+) -> Iterator[ByteStream]:
+    url = f"ntrip://127.0.0.1:{port}/{mountpoint}"
+    with closing(open_stream(url, on_data=reader.arrived.set, ntrip=access, silence_s=silence_s)) as stream:
+        yield stream
 
 
-def listens(port: int) -> bool:
-    with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
-        return True
-    return False
-
-
-@pytest.fixture
-def reader() -> Reader:
-    return Reader()
-
-
-@pytest.fixture(autouse=True)
-def no_thread_is_left() -> Iterator[None]:
-    before = set(threading.enumerate())
-    yield
-    wait_for(lambda: set(threading.enumerate()) <= before, within_s=5.0)
+def caster(base: HostileCaster, port: int, password: str = "geheim") -> Any:
+    """RTKLIB's caster, which forwards the data of its clients to the base station."""
+    return rtklib_caster(base.port, port, "-b", "1", password=password)
 
 
 def messages_after(data: bytes) -> list[int]:
@@ -113,17 +81,13 @@ def messages_after(data: bytes) -> list[int]:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_messages_are_intact_and_the_position_is_sent(version: int, reader: Reader, tmp_path: Path) -> None:
+def test_messages_are_intact_and_the_position_is_sent(version: int, reader: Reader) -> None:
     base, port, opened_s = Base(), free_port(), time.monotonic()
-    access = NtripAccess(
-        user="driver", password="geheim", version=version, position=lambda: GGA, position_interval_s=1.0
-    )
+    access = replace(ACCESS, version=version, position=lambda: GGA, position_interval_s=1.0)
     with (
         HostileCaster(base.script) as receiver,
-        caster(receiver, port, tmp_path),
-        closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set, ntrip=access)
-        ) as stream,
+        caster(receiver, port),
+        stream_of(port, reader, access) as stream,
     ):
         reader.until(stream, lambda data: len(base.sentences) >= 4)
         assert stream.failures == 0
@@ -134,16 +98,12 @@ def test_messages_are_intact_and_the_position_is_sent(version: int, reader: Read
     assert base.sentences[3][0] - opened_s >= 3.0  # the first at once, and then one a second at most
 
 
-def test_restarted_caster_is_reconnected(reader: Reader, tmp_path: Path) -> None:
+def test_restarted_caster_is_reconnected(reader: Reader) -> None:
     port = free_port()
-    url = f"ntrip://127.0.0.1:{port}/BASE"
-    with (
-        HostileCaster(Base().script) as receiver,
-        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS)) as stream,
-    ):
+    with HostileCaster(Base().script) as receiver, stream_of(port, reader) as stream:
         wait_for(lambda: stream.failures > 0)
         assert stream.last_failure == "Connection refused"
-        with caster(receiver, port, tmp_path):
+        with caster(receiver, port):
             reader.until(stream, lambda data: len(data) > 100)
         wait_for(lambda: stream.problem is not None)
         assert stream.last_failure in (
@@ -152,43 +112,36 @@ def test_restarted_caster_is_reconnected(reader: Reader, tmp_path: Path) -> None
             "Connection refused",
         )
         reader.data = b""
-        with caster(receiver, port, tmp_path):
+        with caster(receiver, port):
             reader.until(stream, lambda data: len(data) > 100)
             assert stream.problem is None
 
 
-def test_a_wrong_password_and_an_unknown_mountpoint_are_named_until_they_are_right(
-    reader: Reader, tmp_path: Path
-) -> None:
+def test_a_wrong_password_and_an_unknown_mountpoint_are_named_until_they_are_right(reader: Reader) -> None:
     port = free_port()
     with (
         HostileCaster(Base().script) as receiver,
-        closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set, ntrip=ACCESS)
-        ) as stream,
-        closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASIS", on_data=reader.arrived.set, ntrip=ACCESS)
-        ) as lost,
-        closing(open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set)) as nobody,
+        stream_of(port, reader) as stream,
+        stream_of(port, reader, mountpoint="BASIS") as lost,
+        stream_of(port, reader, None) as nobody,
     ):
-        with caster(receiver, port, tmp_path, password="changed"):
+        with caster(receiver, port, "changed"):
             wait_for(lambda: stream.last_failure == "the caster does not accept user and password (401)")
             wait_for(
                 lambda: nobody.last_failure == "the caster asks for user and password (401), and none are set"
             )
-        with caster(receiver, port, tmp_path):
+        with caster(receiver, port):
             reader.until(stream, lambda data: len(data) > 100)
             wait_for(lambda: "the mountpoint is unknown" in str(lost.last_failure))
     assert "geheim" not in str(stream.last_failure)
 
 
-def test_silent_base_is_reported_and_received_again(reader: Reader, tmp_path: Path) -> None:
+def test_silent_base_is_reported_and_received_again(reader: Reader) -> None:
     base, port = Base(), free_port()
-    url = f"ntrip://127.0.0.1:{port}/BASE"
     with (
         HostileCaster(base.script) as receiver,
-        caster(receiver, port, tmp_path),
-        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS, silence_s=0.5)) as stream,
+        caster(receiver, port),
+        stream_of(port, reader, silence_s=0.5) as stream,
     ):
         reader.until(stream, lambda data: len(data) > 100)
         base.muted = True
@@ -199,20 +152,19 @@ def test_silent_base_is_reported_and_received_again(reader: Reader, tmp_path: Pa
         assert stream.problem is None
 
 
-def test_a_caster_that_gives_a_byte_at_a_time_is_slow_but_not_silent(reader: Reader, tmp_path: Path) -> None:
+def test_a_caster_that_gives_a_byte_at_a_time_is_slow_but_not_silent(reader: Reader) -> None:
     base, port = Base(bytewise=True), free_port()
-    url = f"ntrip://127.0.0.1:{port}/BASE"
     with (
         HostileCaster(base.script) as receiver,
-        caster(receiver, port, tmp_path),
-        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS, silence_s=2.0)) as stream,
+        caster(receiver, port),
+        stream_of(port, reader, silence_s=2.0) as stream,
     ):
         reader.until(stream, lambda data: len(data) >= 3 * len(message(0)))
         assert stream.failures == 0
     assert messages_after(reader.data)
 
 
-def test_a_rover_and_its_base_are_read_at_once_while_both_come_and_go(reader: Reader, tmp_path: Path) -> None:
+def test_a_rover_and_its_base_are_read_at_once_while_both_come_and_go(reader: Reader) -> None:
     """For some seconds; no stream contains bytes of the other source."""
     stop_s = time.monotonic() + 6.0
     of_base, port = Reader(), free_port()
@@ -224,11 +176,10 @@ def test_a_rover_and_its_base_are_read_at_once_while_both_come_and_go(reader: Re
 
     with HostileCaster(rover_for_a_moment) as rover, HostileCaster(Base().script) as receiver:
         rover_stream = open_stream(f"tcp:127.0.0.1:{rover.port}", on_data=reader.arrived.set)
-        base_stream = open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=of_base.arrived.set, ntrip=ACCESS)
-        with closing(rover_stream), closing(base_stream):
+        with closing(rover_stream), stream_of(port, of_base) as base_stream:
             while time.monotonic() < stop_s:
                 enough = len(of_base.data) + 300
-                with caster(receiver, port, tmp_path):
+                with caster(receiver, port):
                     of_base.until(base_stream, lambda data, enough=enough: len(data) >= enough)
                 reader.data += rover_stream.take()
             wait_for(lambda: rover_stream.failures > 1 and base_stream.failures > 1)

@@ -6,6 +6,7 @@ import stat
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -13,49 +14,50 @@ from typing import NamedTuple
 import pytest
 import zenoh
 
-from camber.runtime.clock import SystemClock
 from camber.runtime.query import query_once
 from camber.runtime.session import open_session
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
-from camber.schemas.fleet import UploadBatch
+from camber.schemas.fleet import UploadBatch, UploadReceipt
 from camber.tools.security import access
 from camber.tools.security.certificates import Authority
 from support.fleet_routers import (
     HOST,
     Certificates,
-    CountedLink,
     Router,
-    cloud_file,
     joined,
     make_certificates,
     router,
     tls_endpoint,
     unchecked,
-    vehicle_file,
 )
-from support.running import camber, free_port, started, wait_until
+from support.relay import Relay
+from support.running import (
+    CLOCK,
+    camber,
+    camber_started,
+    client_of,
+    free_endpoint,
+    free_port,
+    settings_file,
+    wait_until,
+)
 from support.upload_load import Load, upload
 
 SWEEP = bytes(2_000_000)
 SWEEPS = 10
 LITTLE_BYTES = 60_000
 """Keep-alives, a handshake, verdicts: of 20 MB within, so much at most may cross."""
+CAR = "camber/v1/car-1"
 
 
 class Vehicle(NamedTuple):
     router: Router
     endpoint: str
-    link: CountedLink
-
-    def settings(self, vehicle: str = "car-1") -> ServiceSettings:
-        return ServiceSettings(
-            vehicle=vehicle, zenoh=ZenohSettings(mode="client", connect=[self.endpoint], listen=[])
-        )
+    link: Relay
 
     def session(self) -> zenoh.Session:
-        return open_session(self.settings().zenoh)
+        return inside_session(self.endpoint)
 
 
 class World(NamedTuple):
@@ -68,36 +70,43 @@ class World(NamedTuple):
         return joined(self.certificates.settings(who, self.cloud))
 
 
+def inside_session(endpoint: str) -> zenoh.Session:
+    """Of a process in a vehicle."""
+    return open_session(client_of(endpoint).zenoh)
+
+
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     folder = tmp_path_factory.mktemp("world")
     certificates, cloud = make_certificates(folder), tls_endpoint()
-    links = [CountedLink(int(cloud.rpartition(":")[2])) for _ in range(2)]
     # One listens on the loopback, the other on a socket in the file system.
-    inside = [f"tcp/{HOST}:{free_port()}", f"unixsock-stream/{folder}/bus.sock"]
-    files = [
-        vehicle_file(certificates, name, endpoint, folder / f"{name}.json5", f"tls/{HOST}:{link.port}")
-        for name, endpoint, link in zip(("car-1", "car-2"), inside, links, strict=True)
-    ]
-    # The vehicles are there before the cloud is.
-    with router(files[0]) as first, router(files[1]) as second:
-        with router(cloud_file(certificates, cloud, folder / "cloud.json5")):
-            for hub, name in ((first, "car-1"), (second, "car-2")):
-                wait_until(
-                    lambda hub=hub: "accepted as" in hub.output, timeout_s=60.0, why=f"{name} is not accepted"
-                )
-            yield World(
-                certificates,
-                cloud,
-                Vehicle(first, inside[0], links[0]),
-                Vehicle(second, inside[1], links[1]),
-            )
-        for link in links:
-            link.close()
+    inside = {"car-1": free_endpoint(), "car-2": f"unixsock-stream/{folder}/bus.sock"}
+    vehicles = []
+    with ExitStack() as stack:
+        # The vehicles are there before the cloud is.
+        for name, endpoint in inside.items():
+            link = stack.enter_context(Relay(int(cloud.rpartition(":")[2])))
+            file = certificates.vehicle_file(name, endpoint, f"tls/{HOST}:{link.port}")
+            vehicles.append(Vehicle(stack.enter_context(router(file)), endpoint, link))
+        stack.enter_context(router(certificates.cloud_file(cloud)))
+        for vehicle in vehicles:
+            vehicle.router.wait_for("accepted as")
+        yield World(certificates, cloud, *vehicles)
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Certificates:
+    return make_certificates(tmp_path)
+
+
+@pytest.fixture
+def inside() -> str:
+    """An endpoint for the router of a vehicle."""
+    return free_endpoint()
 
 
 class Received:
-    """Counts by key what has come."""
+    """The keys of what is received."""
 
     def __init__(self) -> None:
         self.keys: list[str] = []
@@ -107,43 +116,56 @@ class Received:
         with self._lock:
             self.keys.append(str(sample.key_expr))
 
-
-def test_a_vehicles_router_routes_before_there_is_a_cloud_and_says_so(tmp_path: Path) -> None:
-    certificates, inside = make_certificates(tmp_path), f"tcp/{HOST}:{free_port()}"
-    file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", tls_endpoint())
-    settings = ZenohSettings(mode="client", connect=[inside])
-    with router(file) as hub, open_session(settings) as one, open_session(settings) as two:
-        received = Received()
-        two.declare_subscriber("camber/v1/car-1/**", received)
+    def until_received(self, publisher: zenoh.Publisher, *, timeout_s: float = 20.0) -> None:
+        """Publish until something is received."""
         wait_until(
-            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or received.keys,
-            timeout_s=10.0,
-            why="nothing came within",
+            lambda: publisher.put(b"v") or self.keys, timeout_s=timeout_s, why=f"no {publisher.key_expr}"
         )
-        wait_until(lambda: "no link" in hub.output, timeout_s=30.0, why="no message on the link")
+
+
+def route_within(inside: str) -> None:
+    """Assert that the router of a vehicle passes on within it."""
+    with inside_session(inside) as one, inside_session(inside) as two:
+        received = Received()
+        two.declare_subscriber(f"{CAR}/**", received)
+        received.until_received(one.declare_publisher(f"{CAR}/vehicle/sweep"), timeout_s=10.0)
+
+
+def receive_a_verdict(
+    certificates: Certificates, cloud: str, inside: str, *, timeout_s: float = 20.0
+) -> None:
+    """Receive, at a router of the cloud, a verdict published inside car-1."""
+    with joined(certificates.settings("consumer", cloud)) as consumer, inside_session(inside) as judge:
+        received = Received()
+        consumer.declare_subscriber(f"{CAR}/integrity/verdict", received)
+        received.until_received(judge.declare_publisher(f"{CAR}/integrity/verdict"), timeout_s=timeout_s)
+
+
+def test_a_vehicles_router_routes_before_there_is_a_cloud_and_says_so(
+    certificates: Certificates, inside: str
+) -> None:
+    with router(certificates.vehicle_file("car-1", inside, tls_endpoint())) as hub:
+        route_within(inside)
+        hub.wait_for("no link", timeout_s=30.0)
 
 
 def test_a_peer_in_a_vehicle_is_reported(world: World) -> None:
-    with open_session(ZenohSettings(mode="peer", connect=[world.vehicle.endpoint])):
-        wait_until(
-            lambda: 'need [zenoh] mode = "client"' in world.vehicle.router.output,
-            timeout_s=20.0,
-            why="no message on a peer",
-        )
+    peer = client_of(world.vehicle.endpoint).zenoh.model_copy(update={"mode": "peer"})
+    with open_session(peer):
+        world.vehicle.router.wait_for('need [zenoh] mode = "client"', timeout_s=20.0)
 
 
-def test_a_router_whose_certificate_is_in_no_list_says_so(world: World, tmp_path: Path) -> None:
-    certificates, inside = world.certificates, f"tcp/{HOST}:{free_port()}"
-    file = vehicle_file(certificates, "revoked", inside, tmp_path / "v.json5", world.cloud)
+def test_a_router_whose_certificate_is_in_no_list_says_so(world: World, inside: str) -> None:
+    file = world.certificates.vehicle_file("revoked", inside, world.cloud)
     with router(file) as hub:
-        wait_until(lambda: "not in its access list" in hub.output, timeout_s=60.0, why="it did not say so")
+        hub.wait_for("not in its access list")
     checked = camber("access", "check", file)
     assert (checked.returncode, checked.stderr.count("\n")) == (1, 1)
     assert "lets nothing pass that revoked says as revoked" in checked.stderr
 
 
 def test_sweeps_stay_within_and_verdicts_cross(world: World) -> None:
-    link, prefix = world.vehicle.link, "camber/v1/car-1"
+    link = world.vehicle.link
     with (
         world.vehicle.session() as lidar,
         world.vehicle.session() as localizer,
@@ -151,27 +173,24 @@ def test_sweeps_stay_within_and_verdicts_cross(world: World) -> None:
         world.session("cloud") as cloud,
     ):
         within, outside, everything = Received(), Received(), Received()
-        localizer.declare_subscriber(f"{prefix}/vehicle/sweep", within)
+        localizer.declare_subscriber(f"{CAR}/vehicle/sweep", within)
         consumer.declare_subscriber("camber/v1/*/integrity/verdict", outside)
         # Even a cloud that wants all gets no more: the vehicle's own router has the rules, too.
         cloud.declare_subscriber("**", everything)
-        sweeps = lidar.declare_publisher(
-            f"{prefix}/vehicle/sweep", congestion_control=zenoh.CongestionControl.BLOCK
-        )
-        verdicts = lidar.declare_publisher(f"{prefix}/integrity/verdict")
-        wait_until(
-            lambda: verdicts.put(b"v") or outside.keys, timeout_s=10.0, why="no verdict has crossed the link"
-        )
-        before = link.up + link.down
+        blocking = zenoh.CongestionControl.BLOCK
+        sweeps = lidar.declare_publisher(f"{CAR}/vehicle/sweep", congestion_control=blocking)
+        verdicts = lidar.declare_publisher(f"{CAR}/integrity/verdict")
+        outside.until_received(verdicts, timeout_s=10.0)
+        before = link.bytes_passed
         for _ in range(SWEEPS):
             sweeps.put(SWEEP)
             verdicts.put(bytes(300))
         wait_until(lambda: len(within.keys) == SWEEPS, timeout_s=30.0, why="sweeps are missing within")
         time.sleep(1.0)
-        crossed = link.up + link.down - before
+        crossed = link.bytes_passed - before
         print(f"{SWEEPS * len(SWEEP)} bytes of sweeps within, {crossed} bytes over the link")
         assert crossed < LITTLE_BYTES
-        assert set(everything.keys) == {f"{prefix}/integrity/verdict"}
+        assert set(everything.keys) == {f"{CAR}/integrity/verdict"}
         assert len(outside.keys) > SWEEPS
 
 
@@ -199,37 +218,31 @@ def test_vehicles_do_not_see_each_other(world: World) -> None:
 
 
 def test_an_upload_is_stored_in_the_name_of_the_certificate_only(world: World, tmp_path: Path) -> None:
-    tls = world.certificates.settings("map_update", world.cloud)
-    config = tmp_path / "map_update.toml"
-    config.write_text(
-        f'vehicle = "fleet"\nstate_dir = "{tmp_path}"\n[zenoh]\nmode = "client"\nconnect = ["{world.cloud}"]\n'
-        f'tls_ca = "{tls.tls_ca}"\ntls_certificate = "{tls.tls_certificate}"\ntls_key = "{tls.tls_key}"\n'
+    joining = world.certificates.settings("map_update", world.cloud)
+    config = settings_file(
+        tmp_path / "map_update.toml", joining, f'state_dir = "{tmp_path}"', vehicle="fleet"
     )
 
-    def batch(vehicle: str) -> UploadBatch:
-        made = upload(Load("", "", 0, 1, records=4, time_ns=SystemClock().now_ns() - 10**12), 1)
+    def receipt(vehicle: str) -> UploadReceipt | None:
+        made = upload(Load("", "", 0, 1, records=4, time_ns=CLOCK.now_ns() - 10**12), 1)
         assert isinstance(made, UploadBatch)
-        return made.model_copy(update={"vehicle": vehicle})
-
-    def receipt(vehicle: str) -> object:
+        batch = made.model_copy(update={"vehicle": vehicle})
+        settings = client_of(world.vehicle.endpoint, "car-1")
         try:
-            return query_once(
-                world.vehicle.settings(), "upload_batch", batch(vehicle), service="map_update", timeout_s=5.0
-            )
+            return query_once(settings, "upload_batch", batch, service="map_update", timeout_s=5.0)
         except Exception:
             return None
 
-    log = (tmp_path / "log").open("w")
-    with started("-m", "camber.cli", "map_update", "--config", config, stdout=log, stderr=log):
+    with (tmp_path / "log").open("w") as log, camber_started("map_update", "--config", config, stdout=log):
         stored = wait_until(lambda: receipt("car-1"), timeout_s=60.0, why="no receipt came")
         assert stored.status == "stored"
         refused = receipt("car-2")
+        assert refused is not None
         assert refused.status == "refused"
         assert refused.reason == "vehicle car-2 was uploaded under the key of car-1, expected the same"
         asked = camber("health", "map_update", "--config", config, "--json")
         assert '"refused.vehicle":1' in asked.stdout.replace(" ", "")
         assert "not_heard" not in asked.stdout
-    log.close()
     output = (tmp_path / "log").read_text()
     assert (world.certificates.folder / "map_update.key").read_text().splitlines()[1] not in output
 
@@ -249,12 +262,12 @@ def test_a_consumer_in_the_cloud_listens_with_its_certificate(world: World) -> N
 
 
 def test_a_link_is_made_again_after_a_cut(world: World) -> None:
-    prefix, link = "camber/v1/car-1", world.vehicle.link
+    link = world.vehicle.link
     with world.vehicle.session() as judge, world.session("consumer") as consumer:
         received = Received()
-        consumer.declare_subscriber(f"{prefix}/integrity/verdict", received)
-        verdicts = judge.declare_publisher(f"{prefix}/integrity/verdict")
-        wait_until(lambda: verdicts.put(b"v") or received.keys, timeout_s=10.0, why="no verdict has crossed")
+        consumer.declare_subscriber(f"{CAR}/integrity/verdict", received)
+        verdicts = judge.declare_publisher(f"{CAR}/integrity/verdict")
+        received.until_received(verdicts, timeout_s=10.0)
         link.cut(True)
         time.sleep(3.0)
         received.keys.clear()
@@ -262,87 +275,57 @@ def test_a_link_is_made_again_after_a_cut(world: World) -> None:
         time.sleep(0.3)
         assert received.keys == []
         link.cut(False)
-        wait_until(
-            lambda: verdicts.put(b"v") or received.keys, timeout_s=20.0, why="no verdict has crossed again"
-        )
+        received.until_received(verdicts)
 
 
-def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(tmp_path: Path) -> None:
-    certificates = make_certificates(tmp_path)
+def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(
+    certificates: Certificates, inside: str
+) -> None:
     Authority(certificates.folder).issue("cloud-2", "router", hosts=[HOST], days=1, now=datetime.now(UTC))
-    first, second, inside = tls_endpoint(), tls_endpoint(), f"tcp/{HOST}:{free_port()}"
-    files = (
-        cloud_file(certificates, first, tmp_path / "1.json5"),
-        cloud_file(certificates, second, tmp_path / "2.json5", "--router", "cloud-2", "--connect", first),
-    )
-    file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", first, second)
-    with router(files[1]), router(file) as hub:
-        with router(files[0]):
-            wait_until(lambda: "accepted as" in hub.output, timeout_s=60.0, why="the vehicle is not accepted")
-            receive_a_verdict(
-                certificates, second, inside, timeout_s=20.0, why="nothing came over two routers"
-            )
+    first, second = tls_endpoint(), tls_endpoint()
+    other = certificates.cloud_file(second, "--router", "cloud-2", "--connect", first)
+    with router(other), router(certificates.vehicle_file("car-1", inside, first, second)) as hub:
+        with router(certificates.cloud_file(first)):
+            hub.wait_for("accepted as")
+            receive_a_verdict(certificates, second, inside)
         # The first has gone; the vehicle takes the other.
-        receive_a_verdict(
-            certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router"
-        )
+        receive_a_verdict(certificates, second, inside, timeout_s=30.0)
 
 
-def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(tmp_path: Path) -> None:
+def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(
+    certificates: Certificates, tmp_path: Path
+) -> None:
     """Also where at first nobody is there, as where a vehicle is started below ground."""
-    certificates = make_certificates(tmp_path)
     away, there, inside = tls_endpoint(), tls_endpoint(), f"unixsock-stream/{tmp_path}/bus.sock"
-    cloud = cloud_file(certificates, there, tmp_path / "cloud.json5")
-    with router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", away, there)) as hub:
-        wait_until(lambda: "no link" in hub.output, timeout_s=60.0, why="nobody was missed")
-        with router(cloud):
-            wait_until(
-                lambda: "accepted as car-1" in hub.output, timeout_s=60.0, why="the second was not taken"
-            )
-            receive_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
+    with router(certificates.vehicle_file("car-1", inside, away, there)) as hub:
+        hub.wait_for("no link")
+        with router(certificates.cloud_file(there)):
+            hub.wait_for("accepted as car-1")
+            receive_a_verdict(certificates, there, inside, timeout_s=30.0)
         assert hub.process.poll() is None
 
 
-def test_a_link_over_quic_is_as_good_and_as_strict(tmp_path: Path) -> None:
-    certificates, inside = make_certificates(tmp_path), f"tcp/{HOST}:{free_port()}"
+def test_a_link_over_quic_is_as_good_and_as_strict(certificates: Certificates, inside: str) -> None:
     cloud = f"quic/{HOST}:{free_port()}"
-    revoked = vehicle_file(certificates, "revoked", f"tcp/{HOST}:{free_port()}", tmp_path / "r.json5", cloud)
     with (
-        router(cloud_file(certificates, cloud, tmp_path / "cloud.json5")),
-        router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud)) as hub,
-        router(revoked) as other,
+        router(certificates.cloud_file(cloud)),
+        router(certificates.vehicle_file("car-1", inside, cloud)) as hub,
+        router(certificates.vehicle_file("revoked", free_endpoint(), cloud)) as other,
     ):
-        wait_until(lambda: "accepted as car-1" in hub.output, timeout_s=60.0, why="car-1 is not accepted")
-        receive_a_verdict(certificates, cloud, inside, timeout_s=20.0, why="no verdict has crossed")
-        wait_until(
-            lambda: "lets nothing pass" in other.output,
-            timeout_s=60.0,
-            why="the revoked vehicle logs nothing",
-        )
+        hub.wait_for("accepted as car-1")
+        receive_a_verdict(certificates, cloud, inside)
+        other.wait_for("lets nothing pass")
         foreign = certificates.settings("other authority", cloud)
         assert unchecked(foreign) is None
         assert unchecked(foreign.model_copy(update={"tls_certificate": None})) is None
 
 
-def receive_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:
-    """Receive, at a router of the cloud, a verdict published inside car-1."""
-    key = "camber/v1/car-1/integrity/verdict"
-    with (
-        joined(certificates.settings("consumer", cloud)) as consumer,
-        open_session(ZenohSettings(mode="client", connect=[inside])) as judge,
-    ):
-        received = Received()
-        consumer.declare_subscriber(key, received)
-        wait_until(lambda: judge.put(key, b"v") or received.keys, timeout_s=timeout_s, why=why)
-
-
 @pytest.mark.parametrize("wrong", ["missing", "damaged", "foreign key"])
 def test_a_certificate_that_cannot_be_used_is_one_line_and_the_bus_within_goes_on(
-    tmp_path: Path, wrong: str
+    certificates: Certificates, inside: str, wrong: str
 ) -> None:
-    certificates, inside = make_certificates(tmp_path), f"tcp/{HOST}:{free_port()}"
-    key, file = certificates.folder / "car-1.key", tmp_path / "v.json5"
-    vehicle_file(certificates, "car-1", inside, file, tls_endpoint())
+    key = certificates.folder / "car-1.key"
+    file = certificates.vehicle_file("car-1", inside, tls_endpoint())
     secret = key.read_text().splitlines()[1]
     if wrong == "missing":
         key.unlink()
@@ -350,70 +333,58 @@ def test_a_certificate_that_cannot_be_used_is_one_line_and_the_bus_within_goes_o
         key.write_text(key.read_text().replace("MIGH", "MIGX")[:-40])
     else:
         key.write_bytes((certificates.folder / "car-2.key").read_bytes())
-    settings = ZenohSettings(mode="client", connect=[inside])
-    with router(file) as hub, open_session(settings) as one, open_session(settings) as two:
-        received = Received()
-        two.declare_subscriber("camber/v1/car-1/**", received)
-        wait_until(
-            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or received.keys,
-            timeout_s=10.0,
-            why="nothing came within",
-        )
-        wait_until(lambda: str(key) in hub.output, timeout_s=10.0, why="no message on the key")
+    with router(file) as hub:
+        route_within(inside)
+        hub.wait_for(str(key), timeout_s=10.0)
         assert hub.output.count("\n") == 2
         assert secret not in hub.output
     checked = camber("access", "check", file)
     assert (checked.returncode, checked.stderr.count("\n")) == (3, 1)
 
 
-def test_a_vehicle_is_queried_by_its_name_if_its_certificate_has_another(tmp_path: Path) -> None:
-    certificates, cloud = make_certificates(tmp_path), tls_endpoint()
+def test_a_vehicle_is_queried_by_its_name_if_its_certificate_has_another(
+    certificates: Certificates, inside: str, tmp_path: Path
+) -> None:
+    cloud = tls_endpoint()
     for end in ("pem", "key"):
-        (certificates.folder / f"car-9.{end}").write_bytes(
-            (certificates.folder / f"unlisted.{end}").read_bytes()
-        )
+        (certificates.folder / f"unlisted.{end}").rename(certificates.folder / f"car-9.{end}")
     options = ["cloud", "--vehicle", "car-9=unlisted", "--listen", cloud, "--tls", str(certificates.folder)]
     made = tmp_path / "cloud.json5"
     assert access.main([*options, "--out", str(made)]) == 0
-    file = vehicle_file(certificates, "car-9", f"tcp/{HOST}:{free_port()}", tmp_path / "v.json5", cloud)
+    file = certificates.vehicle_file("car-9", inside, cloud)
     with router(made), router(file) as hub:
-        wait_until(lambda: "accepted as car-9" in hub.output, timeout_s=30.0, why="it is not accepted")
+        hub.wait_for("accepted as car-9", timeout_s=30.0)
         assert camber("access", "check", file).returncode == 0
 
 
-def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(tmp_path: Path) -> None:
-    certificates, cloud = make_certificates(tmp_path), tls_endpoint()
+def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(
+    certificates: Certificates, inside: str
+) -> None:
+    cloud = tls_endpoint()
     Authority(certificates.folder).issue("judge", "judge", days=1, now=datetime.now(UTC))
-    inside, to = f"tcp/{HOST}:{free_port()}", ["--to", "map_update", "consumer", "judge"]
-    file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud, more=to)
-    prefix = "camber/v1/car-1"
-    with router(cloud_file(certificates, cloud, tmp_path / "c.json5")), router(file) as hub:
-        wait_until(lambda: "accepted as" in hub.output, timeout_s=60.0, why="the vehicle is not accepted")
+    file = certificates.vehicle_file("car-1", inside, cloud, to=("map_update", "consumer", "judge"))
+    with router(certificates.cloud_file(cloud)), router(file) as hub:
+        hub.wait_for("accepted as")
         with (
             joined(certificates.settings("judge", cloud)) as judge,
             joined(certificates.settings("consumer", cloud)) as consumer,
-            open_session(ZenohSettings(mode="client", connect=[inside])) as vehicle,
+            inside_session(inside) as vehicle,
         ):
-            token = vehicle.liveliness().declare_token(f"{prefix}/gnss/alive")
-            gnss = vehicle.declare_queryable(f"{prefix}/gnss/estimates", _answer)
+            token = vehicle.liveliness().declare_token(f"{CAR}/gnss/alive")
+            gnss = vehicle.declare_queryable(f"{CAR}/gnss/estimates", _answer)
             alive, fixes, overheard, verdicts, there = (Received() for _ in range(5))
-            judge.liveliness().declare_subscriber(f"{prefix}/*/alive", alive, history=True)
-            judge.declare_subscriber(f"{prefix}/gnss/fix", fixes)
-            consumer.declare_subscriber(f"{prefix}/gnss/fix", overheard)
-            vehicle.declare_subscriber(f"{prefix}/integrity/verdict", verdicts)
-            vehicle.liveliness().declare_subscriber(f"{prefix}/*/alive", there, history=True)
-            here = judge.liveliness().declare_token(f"{prefix}/integrity/alive")
-            fix = vehicle.declare_publisher(f"{prefix}/gnss/fix")
-            verdict = judge.declare_publisher(f"{prefix}/integrity/verdict")
-            wait_until(lambda: fix.put(b"f") or fixes.keys, timeout_s=10.0, why="no fix came to the judge")
-            wait_until(lambda: verdict.put(b"v") or verdicts.keys, timeout_s=10.0, why="no verdict came back")
-            wait_until(lambda: f"{prefix}/gnss/alive" in alive.keys, timeout_s=10.0, why="gnss is not seen")
-            wait_until(lambda: f"{prefix}/integrity/alive" in there.keys, timeout_s=10.0, why="nor the judge")
-            replies = [
-                reply.ok is not None
-                for reply in judge.get(f"{prefix}/gnss/estimates", payload=b"?", timeout=5.0)
-            ]
-            assert replies == [True]
+            judge.liveliness().declare_subscriber(f"{CAR}/*/alive", alive, history=True)
+            judge.declare_subscriber(f"{CAR}/gnss/fix", fixes)
+            consumer.declare_subscriber(f"{CAR}/gnss/fix", overheard)
+            vehicle.declare_subscriber(f"{CAR}/integrity/verdict", verdicts)
+            vehicle.liveliness().declare_subscriber(f"{CAR}/*/alive", there, history=True)
+            here = judge.liveliness().declare_token(f"{CAR}/integrity/alive")
+            fixes.until_received(vehicle.declare_publisher(f"{CAR}/gnss/fix"), timeout_s=10.0)
+            verdicts.until_received(judge.declare_publisher(f"{CAR}/integrity/verdict"), timeout_s=10.0)
+            wait_until(lambda: f"{CAR}/gnss/alive" in alive.keys, timeout_s=10.0, why="gnss is not seen")
+            wait_until(lambda: f"{CAR}/integrity/alive" in there.keys, timeout_s=10.0, why="nor the judge")
+            replies = judge.get(f"{CAR}/gnss/estimates", payload=b"?", timeout=5.0)
+            assert [reply.ok is not None for reply in replies] == [True]
             assert overheard.keys == []
             for entity in (token, here, gnss):
                 entity.undeclare()

@@ -16,42 +16,35 @@ import pytest
 from camber.runtime.query import QueryClient
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from support.fleet_routers import (
-    HOST,
-    cloud_file,
-    make_certificates,
-    router,
-    tls_endpoint,
-    vehicle_file,
-)
-from support.running import free_port, wait_until
+from support.fleet_routers import make_certificates, router, tls_endpoint
+from support.running import client_of, free_endpoint, wait_until
+
+pytestmark = pytest.mark.slow
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """A vehicle's router that is linked to a cloud's; `bus` joins the vehicle's."""
+    """A vehicle's router that is linked to a cloud's; a client by `settings` joins the vehicle's."""
 
     vehicle_file: Path
-    bus: ZenohSettings
+    settings: ServiceSettings
 
     @property
-    def settings(self) -> ServiceSettings:
-        return ServiceSettings(vehicle="car-1", zenoh=self.bus)
+    def bus(self) -> ZenohSettings:
+        return self.settings.zenoh
 
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Fleet]:
-    certificates, cloud = make_certificates(tmp_path), tls_endpoint()
-    inside = f"tcp/{HOST}:{free_port()}"
-    file = vehicle_file(certificates, "car-1", inside, tmp_path / "car-1.json5", cloud)
-    with router(cloud_file(certificates, cloud, tmp_path / "cloud.json5")):
-        yield Fleet(file, ZenohSettings(mode="client", connect=[inside]))
+    certificates, cloud, inside = make_certificates(tmp_path), tls_endpoint(), free_endpoint()
+    with router(certificates.cloud_file(cloud)):
+        yield Fleet(certificates.vehicle_file("car-1", inside, cloud), client_of(inside, "car-1"))
 
 
 @contextmanager
 def linked(fleet: Fleet) -> Iterator[None]:
     with router(fleet.vehicle_file) as vehicle:
-        wait_until(lambda: "accepted as" in vehicle.output, timeout_s=60.0, why="no link")
+        vehicle.wait_for("accepted as")
         yield
 
 
@@ -63,7 +56,6 @@ BOTH = {"car-1": frozenset({"gnss", "integrity"})}
 ONE = {"car-1": frozenset({"integrity"})}
 
 
-@pytest.mark.slow
 def test_present_services_are_listed_every_time_and_those_that_left_are_not(fleet: Fleet) -> None:
     with linked(fleet), open_session(fleet.bus) as service:
         leaver, _stayer = token(service, "gnss"), token(service, "integrity")
@@ -80,7 +72,6 @@ def test_present_services_are_listed_every_time_and_those_that_left_are_not(flee
             wait_until(lambda: asker.alive("car-1") == ONE, timeout_s=20.0, why="it is still there by name")
 
 
-@pytest.mark.slow
 def test_a_service_that_leaves_during_the_query_is_not_listed_later(fleet: Fleet) -> None:
     """As `camber status --watch` asks."""
     when = random.Random(seed := random.randrange(2**32))
@@ -102,7 +93,6 @@ def test_a_service_that_leaves_during_the_query_is_not_listed_later(fleet: Fleet
             wait_until(lambda: asker.alive() == ONE, timeout_s=10.0, why="who has left is still there")
 
 
-@pytest.mark.slow
 def test_nobody_is_there_without_a_router_and_all_are_again_with_a_new_one(fleet: Fleet) -> None:
     with ExitStack() as stays:
         with linked(fleet):

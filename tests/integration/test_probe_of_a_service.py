@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from support.running import environment, free_port, started, wait_until
+from support.running import environment, free_endpoint, loopback_router, settings_file, started, wait_until
 
 
 def probed(service: str, settings: Path) -> tuple[int, str]:
@@ -21,16 +21,14 @@ def probed(service: str, settings: Path) -> tuple[int, str]:
 
 
 def test_a_service_is_well_until_it_freezes(tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
     settings = tmp_path / "antenna_height.toml"
-    settings.write_text(
-        'vehicle = "car"\nway = "fixed"\nfixed_height_m = 1.6\nfixed_sigma_m = 0.01\n'
-        f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
-    )
+    height = ('way = "fixed"', "fixed_height_m = 1.6", "fixed_sigma_m = 0.01")
+    endpoint = free_endpoint()
+    settings_file(settings, endpoint, *height)
     assert probed("router", settings)[0] == 1
     with (
+        loopback_router(endpoint),
         (tmp_path / "log").open("w") as log,
-        started("-m", "camber.cli", "router", "--listen", endpoint, stdout=log),
         started("-m", "camber.antenna_height", "--config", settings, stdout=log) as service,
     ):
         wait_until(

@@ -7,11 +7,10 @@ import resource
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -21,35 +20,22 @@ import pytest
 from mcap.reader import make_reader
 
 from camber.formats.drive.recording import Recorded, Recorder, RecordingError, read_recording
-from camber.runtime.bus import Bus
-from camber.runtime.clock import SystemClock
-from camber.runtime.session import open_session
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.runtime.subscription import Subscription
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from support.messages import build
-from support.running import camber, environment, free_port, started, wait_until
+from support.running import CLOCK, bus_of, camber, camber_started, loopback_router, wait_until
 
-CLOCK = SystemClock()
 FIX = build(Fix, Random(1), filled=True)
 SWEEP = build(Sweep, Random(1), filled=True)
 
 
 @pytest.fixture
 def endpoint() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    with open_session(ZenohSettings(mode="router", listen=[where], connect=[])):
-        yield where
-
-
-def joined(endpoint: str, service: str) -> Bus:
-    settings = ServiceSettings(
-        vehicle="car", log_level="error", zenoh=ZenohSettings(mode="client", connect=[endpoint])
-    )
-    return Bus(open_session(settings.zenoh), settings, service, CLOCK)
+    with loopback_router() as endpoint:
+        yield endpoint
 
 
 class Driving(threading.Thread):
@@ -58,21 +44,15 @@ class Driving(threading.Thread):
     def __init__(self, endpoint: str, *, rate_hz: float = 50.0, points: int = 0) -> None:
         super().__init__(daemon=True)
         self.ended = threading.Event()
-        self.vehicle, self.gnss = joined(endpoint, "vehicle"), joined(endpoint, "gnss")
+        self.vehicle, self.gnss = bus_of(endpoint, "vehicle"), bus_of(endpoint, "gnss")
         self._period_s, self._points = 1.0 / rate_hz, points
 
     def run(self) -> None:
         while not self.ended.wait(self._period_s):
             now_ns = CLOCK.now_ns()
             self.vehicle.publish("motion", Motion(time_ns=now_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0))
-            fix = FIX.model_copy(
-                update={
-                    "time_ns": now_ns,
-                    "fix_id": now_ns // 1_000_000,
-                    "continuous_since_ns": now_ns - 10**9,
-                }
-            )
-            self.gnss.publish("fix", fix)
+            times = {"time_ns": now_ns, "fix_id": now_ns // 1_000_000, "continuous_since_ns": now_ns - 10**9}
+            self.gnss.publish("fix", FIX.model_copy(update=times))
             if self._points:
                 self.vehicle.publish("sweep", _sweep(now_ns, self._points))
 
@@ -106,19 +86,8 @@ def driving(endpoint: str, **more: Any) -> Iterator[Driving]:
 
 
 def record(stack: ExitStack, endpoint: str, out: Path, *more: str, **options: Any) -> subprocess.Popen[str]:
-    command = [
-        "record",
-        "--out",
-        str(out),
-        "--vehicle",
-        "car",
-        "--connect",
-        endpoint,
-        "--leave-mb",
-        "1",
-        *more,
-    ]
-    return stack.enter_context(started("-m", "camber.cli", *command, **options))
+    command = ("record", "--out", out, "--vehicle", "car", "--connect", endpoint, "--leave-mb", "1", *more)
+    return stack.enter_context(camber_started(*command, **options))
 
 
 def has_bytes(out: Path, least: int) -> bool:
@@ -194,17 +163,8 @@ def test_what_a_kill_leaves_can_be_read_to_its_last_whole_chunk_and_played(
     data = path.read_bytes()
     (out / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     path.unlink()
-    done = camber(
-        "play",
-        out / "cut.mcap",
-        "--connect",
-        endpoint,
-        "--times",
-        "recorded",
-        "--speed",
-        "1000",
-        timeout_s=120.0,
-    )
+    fast = ("--times", "recorded", "--speed", "1000")
+    done = camber("play", out / "cut.mcap", "--connect", endpoint, *fast, timeout_s=120.0)
     assert done.returncode == 1
     assert "messages before the damage were read" in done.stderr
     assert done.stdout.startswith("played fix ")
@@ -245,31 +205,34 @@ def test_files_follow_one_another_without_a_gap(endpoint: str, tmp_path: Path) -
 
 @pytest.fixture
 def recording(endpoint: str, tmp_path: Path) -> Path:
-    with driving(endpoint):
-        done = camber(
-            "record", "--out", tmp_path / "rec", "--vehicle", "car", "--connect", endpoint, "--leave-mb", "1",
-            "--duration", "2", timeout_s=60.0,
-        )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    with ExitStack() as stack:
+        stack.enter_context(driving(endpoint))
+        process = record(stack, endpoint, tmp_path / "rec", "--duration", "2")
+        output, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 0, output
     (path,) = (tmp_path / "rec").glob("*.mcap")
     return path
 
 
-def play(*arguments: object) -> list[str]:
-    return ["-m", "camber.cli", "play", *map(str, arguments)]
+def received_while(process: subprocess.Popen[str], listener: Subscription) -> list[Any]:
+    """All until the process has ended, and what is on its way then."""
+    received, over = [], False
+    while not over:
+        ended = process.poll() is not None
+        message = listener.next(timeout_s=0.5)
+        received += [] if message is None else [message]
+        over = ended and message is None
+    return received
 
 
 def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, recording: Path) -> None:
     time.sleep(1.0)  # what was recorded is older than any age limit
     before = [item for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
-    received: list[Fix] = []
     with (
         Subscription("fix", vehicle="other", connect=[endpoint]) as listener,
-        started(*play(recording, "--connect", endpoint, "--vehicle", "other")) as process,
+        camber_started("play", recording, "--connect", endpoint, "--vehicle", "other") as process,
     ):
-        while process.poll() is None:
-            fix = listener.next(timeout_s=0.5)
-            received += [] if fix is None else [fix]
+        received = received_while(process, listener)
         output = process.stdout.read() if process.stdout else ""
         assert listener.refused["undecodable"] == listener.refused["future"] == 0
         stale = listener.refused["stale"]
@@ -282,16 +245,12 @@ def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, r
 
 def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recording: Path) -> None:
     before = [item.message for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
-    with Subscription("fix", vehicle="car", connect=[endpoint], live=False) as listener:
-        with started(
-            *play(recording, "--connect", endpoint, "--times", "recorded", "--speed", "20")
-        ) as process:
-            received = []
-            while process.poll() is None:
-                fix = listener.next(timeout_s=0.5)
-                received += [] if fix is None else [fix]
-        while (fix := listener.next(timeout_s=0.5)) is not None:
-            received.append(fix)
+    fast = ("--times", "recorded", "--speed", "20")
+    with (
+        Subscription("fix", vehicle="car", connect=[endpoint], live=False) as listener,
+        camber_started("play", recording, "--connect", endpoint, *fast) as process,
+    ):
+        received = received_while(process, listener)
         assert process.returncode == 0
         assert not listener.refused
     assert received == before
@@ -306,24 +265,18 @@ def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording:
         assert done.returncode == 1
         assert "gnss, vehicle of car is on this bus" in done.stderr
         assert tried("--vehicle", "other").returncode == 0
-    sensors = joined(endpoint, "sensors")
-    sensors.announce()  # they speak for the vehicle
-    try:
+    with closing(bus_of(endpoint, "sensors")) as sensors:
+        sensors.announce()  # they speak for the vehicle
         done = tried()
         assert done.returncode == 1
         assert "vehicle of car is on this bus" in done.stderr
-    finally:
-        sensors.close()
-    gnss = joined(endpoint, "gnss")
-    gnss.announce()  # declared, though it is silent
-    try:
+    with closing(bus_of(endpoint, "gnss")) as gnss:
+        gnss.announce()  # declared, though it is silent
         done = tried()
         assert done.returncode == 1
         assert "gnss of car is on this bus" in done.stderr
         assert "--without fix" in done.stderr
         assert tried("--without", "fix").returncode == 0
-    finally:
-        gnss.close()
     assert tried().returncode == 0
 
 
@@ -331,12 +284,11 @@ def test_a_long_gap_is_printed_before_the_wait(endpoint: str, tmp_path: Path) ->
     path = tmp_path / "gap.mcap"
     with Recorder(path) as recorder:
         for n, time_ns in enumerate((1_400_000_000 * 10**9, 1_400_003_600 * 10**9)):
-            output = encode(
-                Motion(time_ns=time_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0), source="vehicle", sequence=n
-            )
+            motion = Motion(time_ns=time_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0)
+            output = encode(motion, source="vehicle", sequence=n)
             recorder.add("motion", output, key="camber/v1/car/vehicle/motion", arrival_ns=0)
     log = tmp_path / "log"
-    with log.open("w") as out, started(*play(path, "--connect", endpoint), stdout=out, stderr=out) as process:
+    with log.open("w") as out, camber_started("play", path, "--connect", endpoint, stdout=out) as process:
         wait_until(
             lambda: "a gap in the recording: nothing for 3600 s" in log.read_text(),
             timeout_s=30.0,
@@ -366,10 +318,7 @@ def test_what_cannot_be_played_is_one_line(
 def test_a_file_that_is_none_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "no.mcap").write_bytes(b"no recording" * 100)
     for name in ("no.mcap", "nosuch.mcap"):
-        done = subprocess.run(
-            [sys.executable, *play(tmp_path / name)], env=environment(), capture_output=True, text=True, timeout=60,
-            stdin=subprocess.DEVNULL, check=False,
-        )  # fmt: skip
+        done = camber("play", tmp_path / name)
         assert done.returncode == 2
         assert name in done.stderr
         assert len(done.stderr.splitlines()) == 1

@@ -14,12 +14,17 @@ from typing import Any
 
 import pytest
 
-from camber.runtime.bus import Bus
-from camber.runtime.clock import SystemClock
-from camber.runtime.session import open_session
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.motion import Motion
-from support.running import camber, free_port, started, wait_until
+from support.running import (
+    CLOCK,
+    bus_of,
+    camber,
+    camber_started,
+    free_endpoint,
+    loopback_router,
+    started,
+    wait_until,
+)
 
 # A service whose work loop hangs, when a file is there, inside a call that holds the interpreter's lock: no thread of
 # it works any more, and Zenoh goes on saying that it is there.
@@ -41,9 +46,8 @@ raise SystemExit(run(Hanging))
 
 @pytest.fixture
 def endpoint() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    with started("-m", "camber.cli", "router", "--listen", where):
-        yield where
+    with loopback_router() as endpoint:
+        yield endpoint
 
 
 def on(endpoint: str) -> list[str]:
@@ -53,7 +57,7 @@ def on(endpoint: str) -> list[str]:
 def antenna_height(stack: ExitStack, endpoint: str, folder: Path) -> subprocess.Popen[str]:
     log = stack.enter_context((folder / "antenna_height.log").open("a"))
     command = ["antenna_height", *on(endpoint), "--fixed-height-m", "1.5", "--fixed-sigma-m", "0.02"]
-    return stack.enter_context(started("-m", "camber.cli", *command, stdout=log, stderr=log))
+    return stack.enter_context(camber_started(*command, stdout=log))
 
 
 def status(endpoint: str, *more: str) -> tuple[int, dict[str, Any]]:
@@ -68,27 +72,23 @@ def state_of(view: dict[str, Any], service: str) -> tuple[str, str]:
 
 
 def test_rates_ages_and_refusals_are_what_the_services_count(endpoint: str, tmp_path: Path) -> None:
-    settings = ServiceSettings(vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint]))
-    clock = SystemClock()
     with ExitStack() as stack:
         antenna_height(stack, endpoint, tmp_path)
-        bus = Bus(open_session(settings.zenoh), settings, "vehicle", clock)
+        bus = bus_of(endpoint, "vehicle")
         stack.callback(bus.close)
 
         def drive(seconds: float) -> None:
             for n in range(int(seconds / 0.05)):
                 old_ns = 3_000_000_000 if n % 4 == 0 else 0
-                now_ns = clock.now_ns() - old_ns
+                now_ns = CLOCK.now_ns() - old_ns
                 bus.publish("motion", Motion(time_ns=now_ns, wheel_speed_m_s=0.0, yaw_rate_rad_s=0.0))
                 time.sleep(0.05)
 
         wait_until(
             lambda: status(endpoint, "--service", "antenna_height")[0] == 0, timeout_s=30.0, why="it is well"
         )
-        with started(
-            "-m", "camber.cli", "status", "--vehicle", "car", "--connect", endpoint, "--json", "--over", "2",
-            "--service", "antenna_height",
-        ) as process:  # fmt: skip
+        over = ("--vehicle", "car", "--connect", endpoint, "--over", "2", "--service", "antenna_height")
+        with camber_started("status", "--json", *over) as process:
             while process.poll() is None:
                 drive(0.5)
             assert process.stdout is not None
@@ -140,7 +140,7 @@ def test_a_service_whose_interpreter_hangs_is_not_answering_though_it_is_on_the_
     with ExitStack() as stack:
         log = stack.enter_context((tmp_path / "log").open("w"))
         hang = tmp_path / "hang"
-        stack.enter_context(started("-c", HANGING, hang, *on(endpoint), stdout=log, stderr=log))
+        stack.enter_context(started("-c", HANGING, hang, *on(endpoint), stdout=log))
         of_it = ("--service", "gnss", "--timeout", "1", "--over", "0.2")
         wait_until(lambda: status(endpoint, *of_it)[0] == 0, timeout_s=30.0, why="it is well at first")
         hang.touch()
@@ -155,6 +155,6 @@ def test_a_service_whose_interpreter_hangs_is_not_answering_though_it_is_on_the_
 
 
 def test_a_missing_router_is_one_clear_line(tmp_path: Path) -> None:
-    done = camber("status", "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
+    done = camber("status", "--connect", free_endpoint(), "--timeout", "0.5")
     assert done.returncode == 3
     assert done.stderr.startswith("camber status: cannot join the bus")

@@ -16,7 +16,7 @@ from camber.schemas.channels import SERVICES
 from camber.schemas.integrity import Verdict
 from support.live_drive import TRUSTED
 from support.live_vehicle import LiveVehicle, Witness, driving
-from support.running import free_port, wait_until
+from support.running import free_endpoint, wait_until
 from support.tree import ROOT
 
 pytestmark = pytest.mark.slow
@@ -45,7 +45,7 @@ def other_release(folder: Path, module: str, message: str) -> list[str]:
 
 @pytest.fixture
 def vehicle(tmp_path: Path) -> Iterator[tuple[LiveVehicle, Witness]]:
-    vehicle = LiveVehicle(tmp_path, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+    vehicle = LiveVehicle(tmp_path, free_endpoint(), services=SERVICES)
     with driving(vehicle) as witness:
         yield vehicle, witness
 

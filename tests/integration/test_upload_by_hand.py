@@ -12,7 +12,7 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import UploadBatch, UploadReceipt
-from support.running import camber, free_port, started, wait_until
+from support.running import camber, camber_started, free_endpoint, loopback_router, wait_until
 from support.tree import ROOT
 
 EXAMPLE = ROOT / "examples" / "uploads.csv"
@@ -20,14 +20,10 @@ EXAMPLE = ROOT / "examples" / "uploads.csv"
 
 @pytest.fixture
 def cloud(tmp_path: Path) -> Iterator[str]:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    bus = ("--vehicle", "fleet", "--zenoh.connect", f'["{endpoint}"]')
-    with (
-        (tmp_path / "log").open("w") as log,
-        started("-m", "camber.cli", "router", "--listen", endpoint, stdout=log),
-        started("-m", "camber.cli", "map_update", *bus, "--state-dir", tmp_path / "state", stdout=log),
-    ):
-        yield endpoint
+    with loopback_router() as endpoint, (tmp_path / "log").open("w") as log:
+        bus = ("--vehicle", "fleet", "--zenoh.connect", f'["{endpoint}"]')
+        with camber_started("map_update", *bus, "--state-dir", tmp_path / "state", stdout=log):
+            yield endpoint
 
 
 def test_files_are_acknowledged_and_what_comes_again_is_known(tmp_path: Path, cloud: str) -> None:
@@ -65,7 +61,7 @@ def test_what_is_refused_or_wrong_says_so(tmp_path: Path, cloud: str) -> None:
 
 def test_interrupted_it_says_what_is_stored() -> None:
     """A store that takes one batch, and is silent then."""
-    endpoint, key = f"tcp/127.0.0.1:{free_port()}", "camber/v1/fleet/*/upload_batch"
+    endpoint, key = free_endpoint(), "camber/v1/fleet/*/upload_batch"
     asked: list[zenoh.Query] = []
 
     def one(query: zenoh.Query) -> None:
@@ -83,9 +79,7 @@ def test_interrupted_it_says_what_is_stored() -> None:
 
     with open_session(ZenohSettings(mode="router", listen=[endpoint], connect=[])) as store:
         store.declare_queryable(key, one)
-        with started(
-            "-m", "camber.cli", "upload", EXAMPLE, "--connect", endpoint, stderr=subprocess.PIPE
-        ) as process:  # fmt: skip
+        with camber_started("upload", EXAMPLE, "--connect", endpoint, stderr=subprocess.PIPE) as process:
             wait_until(lambda: len(asked) > 1, timeout_s=30.0, why="the second batch does not come")
             process.send_signal(signal.SIGINT)
             output, why = process.communicate(timeout=30.0)
@@ -95,7 +89,7 @@ def test_interrupted_it_says_what_is_stored() -> None:
 
 
 def test_nobody_there_is_one_line() -> None:
-    alone = camber("upload", EXAMPLE, "--timeout", "1", "--connect", f"tcp/127.0.0.1:{free_port()}")
+    alone = camber("upload", EXAMPLE, "--timeout", "1", "--connect", free_endpoint())
     assert (alone.returncode, alone.stdout) == (1, "")
     assert alone.stderr.startswith("camber upload: cannot join the bus")
     assert alone.stderr.count("\n") == 1

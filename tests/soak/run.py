@@ -32,7 +32,7 @@ from camber.schemas.integrity import Verdict
 from soak.readings import Reading, busy_s, growth, lasting_growth, read
 from support.live_drive import TRUSTED
 from support.live_vehicle import LiveVehicle, Witness, driving
-from support.running import free_port
+from support.running import free_endpoint
 
 GROWTH_SHARE = 0.02
 LEAST_MB, LEAST_OF_SHORT_MB = 0.5, 2.0
@@ -175,7 +175,7 @@ def table(drifts: dict[str, dict[str, float]], seen: list[Window]) -> str:
 
 def soak(folder: Path, minutes: float, warm_up_minutes: float) -> dict[str, Any]:
     """Readings of all processes and the windows of a run."""
-    vehicle = LiveVehicle(folder, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+    vehicle = LiveVehicle(folder, free_endpoint(), services=SERVICES)
     readings: dict[str, list[Reading]] = defaultdict(list)
     busy: list[tuple[float, float]] = []
     with driving(vehicle) as witness:

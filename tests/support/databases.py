@@ -13,20 +13,19 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Coroutine, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
-T = TypeVar("T")
-
 POSTGRES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
 NATS = shutil.which("nats-server", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 needs_postgres = pytest.mark.skipif(not POSTGRES, reason="PostgreSQL is not installed")
 needs_nats = pytest.mark.skipif(NATS is None, reason="nats-server is not installed")
 START_LIMIT_S = 30.0
+_INITDB = ("-U", "camber", "-A", "trust", "-E", "UTF8", "--no-locale", "-N")
 CONFIGURATION = """
 listen_addresses = '127.0.0.1'
 unix_socket_directories = ''
@@ -35,11 +34,6 @@ max_wal_size = 4GB
 shared_buffers = 128MB
 log_min_messages = fatal
 """
-
-
-def in_a_loop(coroutine: Coroutine[Any, Any, T]) -> T:
-    """The result of a coroutine, in an event loop of its own."""
-    return asyncio.run(coroutine)
 
 
 def lasting_port() -> int:
@@ -93,13 +87,10 @@ class Server:
             probe.settimeout(1.0)
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
-    def end(self, number: int = signal.SIGKILL) -> None:
-        """Send it a signal and wait for its end; SIGKILL also goes to the processes that it has started."""
+    def end(self) -> None:
+        """Kill it and the processes that it has started."""
         if self.process is not None:
-            if number == signal.SIGKILL:
-                os.killpg(self.process.pid, number)
-            else:
-                self.process.send_signal(number)
+            os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self.process = None
 
@@ -119,19 +110,7 @@ class PostgresServer(Server):
         if os.geteuid() == 0:
             os.chown(self.folder, *self._ids())
         subprocess.run(
-            [
-                POSTGRES[-1] / "initdb",
-                "-D",
-                self.data,
-                "-U",
-                "camber",
-                "-A",
-                "trust",
-                "-E",
-                "UTF8",
-                "--no-locale",
-                "-N",
-            ],
+            [POSTGRES[-1] / "initdb", "-D", self.data, *_INITDB],
             check=True,
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
@@ -156,9 +135,6 @@ class PostgresServer(Server):
         return [str(POSTGRES[-1] / "postgres"), "-D", str(self.data)]
 
     def ready(self) -> bool:
-        return super().ready() and self.answers()
-
-    def answers(self) -> bool:
         try:
             self.execute("SELECT 1")
         except Exception:  # whatever it is, it does not answer yet
@@ -182,7 +158,7 @@ class PostgresServer(Server):
             finally:
                 await connection.close(timeout=5.0)
 
-        return in_a_loop(run())
+        return asyncio.run(run())
 
     def new_database(self) -> str:
         """An address at which nothing is stored yet: a schema of its own, which is made faster than a database."""

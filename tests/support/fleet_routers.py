@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import subprocess
-import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from socket import create_connection, create_server, socket
 from typing import Any
 
 import zenoh
@@ -19,7 +16,7 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.tools.security import access
 from camber.tools.security.certificates import Authority, Kind
-from support.running import environment, free_port, wait_until
+from support.running import camber_started, free_port, wait_until
 
 HOST = "127.0.0.1"
 
@@ -43,6 +40,21 @@ class Certificates:
             tls_certificate=folder / f"{name}.pem",
             tls_key=folder / f"{name}.key",
         )
+
+    def cloud_file(self, endpoint: str, *more: str) -> Path:
+        """What `camber access cloud` makes of all that was issued."""
+        path = self.folder.parent / f"cloud-{endpoint.rpartition(':')[2]}.json5"
+        issued = ("--certs", str(self.folder), "--tls", str(self.folder))
+        assert access.main(["cloud", *issued, "--listen", endpoint, "--out", str(path), *more]) == 0
+        return path
+
+    def vehicle_file(self, name: str, inside: str, *connect: str, to: Sequence[str] = ()) -> Path:
+        """What `camber access vehicle` makes."""
+        path = self.folder.parent / f"{name}.json5"
+        made = ("vehicle", name, "--listen", inside, "--tls", str(self.folder), "--out", str(path))
+        links = [part for endpoint in connect for part in ("--connect", endpoint)]
+        assert access.main([*made, *links, *(("--to", *to) if to else ())]) == 0
+        return path
 
 
 def make_certificates(folder: Path, *, host: str = HOST, vehicle: str = "car-1") -> Certificates:
@@ -69,25 +81,6 @@ def make_certificates(folder: Path, *, host: str = HOST, vehicle: str = "car-1")
     return Certificates(ours.folder, foreign.folder)
 
 
-def cloud_file(certificates: Certificates, endpoint: str, path: Path, *more: str) -> Path:
-    """What `camber access cloud` makes of all that was issued."""
-    folder = str(certificates.folder)
-    words = ["cloud", "--certs", folder, "--tls", folder, "--listen", endpoint, "--out", str(path), *more]
-    assert access.main(words) == 0
-    return path
-
-
-def vehicle_file(
-    certificates: Certificates, name: str, inside: str, path: Path, *connect: str, more: Sequence[str] = ()
-) -> Path:
-    """What `camber access vehicle` makes."""
-    words = ["vehicle", name, "--listen", inside, "--tls", str(certificates.folder), "--out", str(path)]
-    for endpoint in connect:
-        words += ["--connect", endpoint]
-    assert access.main([*words, *more]) == 0
-    return path
-
-
 @dataclass
 class Router:
     """A `camber router` process; `output` is all it has printed so far."""
@@ -99,34 +92,18 @@ class Router:
     def output(self) -> str:
         return self.log.read_text("utf-8")
 
-    def end(self) -> None:
-        self.process.terminate()
-        try:
-            self.process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+    def wait_for(self, text: str, *, timeout_s: float = 60.0) -> None:
+        wait_until(lambda: text in self.output, timeout_s=timeout_s, why=f"{text!r} is not printed")
 
 
 @contextmanager
 def router(file: Path) -> Iterator[Router]:
     """`camber router --config-file FILE`, until it is left."""
     log = file.with_suffix(".log")
-    with log.open("a") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "camber.cli", "router", "--config-file", str(file)],
-            env=environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=stream,
-            text=True,
-        )
-    running = Router(process, log)
-    try:
-        wait_until(lambda: "listens on" in running.output, timeout_s=30.0, why=f"{file.name} was not read")
+    with log.open("a") as stream, camber_started("router", "--config-file", file, stdout=stream) as process:
+        running = Router(process, log)
+        running.wait_for("listens on", timeout_s=30.0)
         yield running
-    finally:
-        running.end()
 
 
 def tls_endpoint() -> str:
@@ -163,54 +140,3 @@ def unchecked(settings: ZenohSettings, *, mode: str = "client") -> Any:
         return zenoh.open(config)
     except zenoh.ZError:
         return None
-
-
-class CountedLink:
-    """Passes what comes on to a port of the loopback, both ways, and counts the bytes; can be cut."""
-
-    def __init__(self, port: int) -> None:
-        self._to = port
-        self.up = self.down = 0
-        self._open: list[socket] = []
-        self._cut = False
-        self._server = create_server((HOST, 0))
-        self.port = int(self._server.getsockname()[1])
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def cut(self, cut: bool) -> None:
-        """From now on nothing passes, or it does again."""
-        self._cut = cut
-        for end in self._open if cut else ():
-            end.close()
-
-    def close(self) -> None:
-        self.cut(True)
-        self._server.close()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                near, _ = self._server.accept()
-                if self._cut:
-                    near.close()
-                    continue
-                far = create_connection((HOST, self._to))
-            except OSError:
-                if self._server.fileno() < 0:
-                    return
-                near.close()
-                continue
-            self._open += [near, far]
-            threading.Thread(target=self._pass, args=(near, far, "up"), daemon=True).start()
-            threading.Thread(target=self._pass, args=(far, near, "down"), daemon=True).start()
-
-    def _pass(self, source: socket, sink: socket, direction: str) -> None:
-        try:
-            while data := source.recv(1 << 16):
-                setattr(self, direction, getattr(self, direction) + len(data))
-                sink.sendall(data)
-        except OSError:
-            pass
-        finally:
-            source.close()
-            sink.close()

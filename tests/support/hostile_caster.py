@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import datetime
-import ipaddress
 import socket
 import ssl
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
+from camber.tools.security.certificates import Authority
 
 _STEP_S = 0.05
 
@@ -76,9 +71,7 @@ class HostileCaster:
         self._threads[0].start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self._stop.set()
         for thread in self._threads:
             thread.join()
@@ -108,63 +101,11 @@ class HostileCaster:
             connection.close()
 
 
-def certificates(folder: Path, name: str, *, address: str | None = None) -> tuple[Path, ssl.SSLContext]:
+def certificates(folder: Path, name: str, *addresses: str) -> tuple[Path, ssl.SSLContext]:
     """The file of an authority, and the context of a server whose certificate it has signed, for `name`."""
-    authority_key, server_key = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
-    authority = _certificate(f"authority of {name}", authority_key, None, [], None)
-    names: list[x509.GeneralName] = [x509.DNSName(name)]
-    if address is not None:
-        names.append(x509.IPAddress(ipaddress.ip_address(address)))
-    server = _certificate(name, server_key, authority, names, authority_key)
-    authority_file, server_file = folder / f"{name}.ca.pem", folder / f"{name}.pem"
-    pem = serialization.Encoding.PEM
-    authority_file.write_bytes(authority.public_bytes(pem))
-    server_file.write_bytes(
-        server_key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-        + server.public_bytes(pem)
-    )
+    now = datetime.now(UTC)
+    authority = Authority.make(folder / name, name=name, days=1, now=now)
+    authority.issue("caster", "router", hosts=[name, *addresses], days=1, now=now)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(server_file)
-    return authority_file, context
-
-
-def _certificate(
-    name: str,
-    key: ec.EllipticCurvePrivateKey,
-    issuer: x509.Certificate | None,
-    names: list[x509.GeneralName],
-    signing_key: ec.EllipticCurvePrivateKey | None,
-) -> x509.Certificate:
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    now = datetime.datetime.now(datetime.UTC)
-    issuer_key = (signing_key or key).public_key()
-    builder = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer.subject if issuer else subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer_key), critical=False)
-        .add_extension(_key_usage(authority=issuer is None), critical=True)
-    )
-    if names:
-        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
-    return builder.sign(signing_key or key, hashes.SHA256())
-
-
-def _key_usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        key_cert_sign=authority,
-        crl_sign=authority,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
+    context.load_cert_chain(authority.folder / "caster.pem", authority.folder / "caster.key")
+    return authority.folder / "ca.pem", context

@@ -19,14 +19,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from support.databases import NatsServer, PostgresServer, lasting_port
-from support.running import environment
+from camber.runtime.settings import ZenohSettings
+from support.databases import NatsServer, PostgresServer, Server, lasting_port
+from support.running import Processes, environment, settings_file
 from support.upload_load import Load, acknowledged, command
 
 STALLED_S = 120.0
@@ -44,74 +46,48 @@ class Outcome:
     problems: list[str]
 
 
-class Fleet:
+class Fleet(Processes):
     """The processes; each can be killed and started again by its name."""
 
     def __init__(self, folder: Path, shards: list[str]) -> None:
-        self.postgres, self.nats = PostgresServer(), NatsServer()
+        super().__init__(folder)
+        self.postgres, nats = PostgresServer(), NatsServer()
+        self.servers: dict[str, Server] = {"postgres": self.postgres, "nats": nats}
         self.endpoint = f"tcp/127.0.0.1:{lasting_port()}"
-        self.shards = shards
-        self.workers: dict[str, subprocess.Popen[bytes]] = {}
-        self.folder = folder
-        self.postgres.start()
-        self.nats.start()
+        for server in self.servers.values():
+            server.start()
         self.addresses = {shard: self.postgres.new_database() for shard in shards}
-        settings = f'queue = "{self.nats.address}"\nshards = {json.dumps(shards)}\nlog_level = "error"\n'
-        router = f'mode = "router"\nconnect = []\nlisten = ["{self.endpoint}"]\n'
-        client = f'mode = "client"\nconnect = ["{self.endpoint}"]\n'
-        (folder / "receive.toml").write_text(
-            f'vehicle = "receive"\nrole = "receive"\n{settings}[zenoh]\n{router}'
-        )
-        for shard in shards:
-            (folder / f"store{shard}.toml").write_text(
-                f'vehicle = "store{shard}"\nrole = "store"\nshard = "{shard}"\nstore = "{self.addresses[shard]}"\n'
-                f"{settings}[zenoh]\n{client}"
-            )
-        for name in ("receive", *(f"store{shard}" for shard in shards)):
-            self.start(name)
+        common = (f'queue = "{nats.address}"', f"shards = {json.dumps(shards)}", 'log_level = "error"')
+        router = ZenohSettings(mode="router", connect=[], listen=[self.endpoint])
+        self._add("receive", router, 'role = "receive"', *common)
+        for shard, address in self.addresses.items():
+            lines = ('role = "store"', f'shard = "{shard}"', f'store = "{address}"', *common)
+            self._add(f"store{shard}", self.endpoint, *lines)
 
-    def start(self, name: str) -> None:
-        if name == "postgres":
-            self.postgres.start()
-        elif name == "nats":
-            self.nats.start()
+    def _add(self, name: str, joining: str | ZenohSettings, *lines: str) -> None:
+        config = settings_file(self.folder / f"{name}.toml", joining, *lines, vehicle=name)
+        self.start(name, "-m", "camber.map_update", "--config", config)
+
+    def start(self, name: str, *command: object, within: Sequence[str] = ()) -> None:
+        if name in self.servers:
+            self.servers[name].start()
         else:
-            with (self.folder / f"{name}.log").open("ab") as log:
-                self.workers[name] = subprocess.Popen(
-                    [
-                        sys.executable,
-                        "-m",
-                        "camber.map_update",
-                        "--config",
-                        str(self.folder / f"{name}.toml"),
-                    ],
-                    env=environment(),
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                )
+            super().start(name, *command, within=within)
 
     def kill(self, name: str) -> None:
-        if name == "postgres":
-            self.postgres.end()
-        elif name == "nats":
-            self.nats.end()
+        if name in self.servers:
+            self.servers[name].end()
         else:
-            self.workers[name].kill()
-            self.workers[name].wait()
+            super().kill(name)
 
     def end(self) -> None:
-        for worker in self.workers.values():
-            worker.kill()
-            worker.wait()
-        self.nats.remove()
-        self.postgres.remove()
+        super().end()
+        for server in self.servers.values():
+            server.remove()
 
     def logs(self) -> str:
         """The ends of the workers' logs."""
-        return "\n".join(
-            f"{name}: {(self.folder / f'{name}.log').read_text()[-1500:]}" for name in self.workers
-        )
+        return "\n".join(f"{name}: {self.log(name).read_text()[-1500:]}" for name in self.running)
 
     def rows(self, query: str) -> list[list[tuple[object, ...]]]:
         """Of a query, in the database of each shard."""
@@ -161,7 +137,7 @@ def run(
             now = path.stat().st_size // 8 if path.exists() else 0
             if now > known:
                 known, moved = now, time.monotonic()
-            ended = [name for name, worker in fleet.workers.items() if worker.poll() is not None]
+            ended = [name for name, worker in fleet.running.items() if worker.poll() is not None]
             if time.monotonic() - moved > STALLED_S:
                 raise AssertionError(f"{known} of {uploads} acknowledged, and no more\n{fleet.logs()}")
             for name in ended:  # as a supervisor does
@@ -174,7 +150,7 @@ def run(
                 continue
             victim = victims.pop()
             if victim == "map_update":
-                victim = rng.choice(list(fleet.workers))
+                victim = rng.choice(list(fleet.running))
             moments.pop(0)
             time.sleep(rng.uniform(0.0, 0.3))
             fleet.kill(victim)
@@ -183,9 +159,7 @@ def run(
                 print(f"{time.monotonic() - began:7.1f} s  {now:8} acknowledged  {victim} killed", flush=True)
             time.sleep(rng.uniform(0.0, 1.0))
             fleet.start(victim)
-        for (
-            name
-        ) in fleet.workers:  # what was under way when the vehicles ended is not stored between two questions
+        for name in fleet.running:  # what was under way is not stored between two questions
             fleet.kill(name)
         return _compared(fleet, path, uploads, max(records, 1), killed, began, whole=vehicles.returncode == 0)
 

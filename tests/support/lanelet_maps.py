@@ -18,13 +18,13 @@ STREET_WEST, STREET_EAST, ONCOMING, BRIDGE, RAMP = 101, 102, 103, 201, 301
 WIDTH_M = 3.5
 
 
-def street_height_m(east_m: Floats, across_m: Floats) -> Floats:
+def street_height_m(east_m: Floats, across_m: Floats | float) -> Floats:
     """Of the street along east: a dip of 1.5 m under the bridge, a crossfall of 2.5 %."""
     height: Floats = 500.0 - 1.5 * np.exp(-((east_m / 60.0) ** 2)) + 0.025 * across_m
     return height
 
 
-def bridge_height_m(north_m: Floats, across_m: Floats) -> Floats:
+def bridge_height_m(north_m: Floats, across_m: Floats | float) -> Floats:
     """Of the bridge along north over east 0: an arch, level across."""
     height: Floats = 506.5 - north_m**2 / 1500.0 + 0.0 * across_m
     return height
@@ -36,12 +36,14 @@ class _Maker:
         self.points: list[tuple[float, float, float]] = []
         self.lanelets: list[Lanelet] = []
 
-    def border(self, first_id: int, east_m: Floats, north_m: Floats, height_m: Floats) -> tuple[int, ...]:
-        ids = tuple(range(first_id, first_id + len(east_m)))
-        for identity, place in zip(ids, zip(east_m, north_m, height_m, strict=True), strict=True):
-            self.rows[identity] = len(self.points)
-            self.points.append(place)
-        return ids
+    def border(
+        self, first_id: int, east_m: Floats | float, north_m: Floats | float, height_m: Floats
+    ) -> tuple[int, ...]:
+        places = list(zip(*np.broadcast_arrays(east_m, north_m, height_m), strict=True))
+        ids = range(first_id, first_id + len(places))
+        self.rows |= dict(zip(ids, range(len(self.points), len(self.points) + len(places)), strict=True))
+        self.points += places
+        return tuple(ids)
 
     def lanelet(
         self, identity: int, left: tuple[int, ...], right: tuple[int, ...], border_ids: tuple[int, int]
@@ -73,58 +75,37 @@ class _Maker:
 def town() -> LaneletMap:
     """The map; borders have a point every 2 m: heights between them are as the functions say to half a millimetre."""
     make = _Maker()
-    lanes: dict[tuple[int, float], tuple[int, ...]] = {}
-    for begin, first_id in ((-120.0, 1000), (0.0, 2000)):
-        east = np.arange(begin, begin + 121.0, 2.0)
-        for k, across in enumerate((-WIDTH_M, 0.0, WIDTH_M)):
-            if begin == 0.0:
-                # The first point is the last one of the lane before: there the lanelets meet.
-                shared = lanes[1000, across][-1:]
-                rest = east[1:]
-                ids = make.border(
-                    first_id + 200 * k,
-                    rest,
-                    np.full(len(rest), across),
-                    street_height_m(rest, np.full(len(rest), across)),
-                )
-                lanes[first_id, across] = shared + ids
-            else:
-                across_m = np.full(len(east), across)
-                lanes[first_id, across] = make.border(
-                    first_id + 200 * k, east, across_m, street_height_m(east, across_m)
-                )
-    west, east_lane = (lambda across: lanes[1000, across]), (lambda across: lanes[2000, across])
-    make.lanelet(STREET_WEST, west(0.0), west(-WIDTH_M), (11, 12))
-    make.lanelet(STREET_EAST, east_lane(0.0), east_lane(-WIDTH_M), (21, 22))
-    make.lanelet(ONCOMING, west(0.0)[::-1], west(WIDTH_M)[::-1], (11, 13))
+    east = np.arange(-120.0, 121.0, 2.0)
+    borders = [
+        make.border(1000 + 200 * k, east, across, street_height_m(east, across))
+        for k, across in enumerate((-WIDTH_M, 0.0, WIDTH_M))
+    ]
+    right, middle, left = ((ids[:61], ids[60:]) for ids in borders)  # the lanelets meet at a point
+    make.lanelet(STREET_WEST, middle[0], right[0], (11, 12))
+    make.lanelet(STREET_EAST, middle[1], right[1], (21, 22))
+    make.lanelet(ONCOMING, middle[0][::-1], left[0][::-1], (11, 13))
     north = np.arange(-60.0, 61.0, 2.0)
-    sides = {
-        side: make.border(
-            identity, np.full(len(north), side), north, bridge_height_m(north, np.full(len(north), side))
-        )
-        for side, identity in ((-2.0, 3000), (2.0, 3200))
-    }
-    make.lanelet(BRIDGE, sides[-2.0], sides[2.0], (31, 32))
-    _ramp(make, sides)
-    return make.map()
-
-
-def _ramp(make: _Maker, bridge: dict[float, tuple[int, ...]]) -> None:
-    """From the bridge's northern end down to the right: a quarter of a circle of 30 m, then nothing."""
+    sides = [
+        make.border(first_id, side, north, bridge_height_m(north, side))
+        for side, first_id in ((-2.0, 3000), (2.0, 3200))
+    ]
+    make.lanelet(BRIDGE, sides[0], sides[1], (31, 32))
+    # From the bridge's northern end down to the right: a quarter of a circle of 30 m, then nothing.
     turn = np.linspace(0.0, 0.5 * math.pi, 40)[1:]
-    ends = {}
-    for side, radius, identity in ((-2.0, 32.0, 4000), (2.0, 28.0, 4200)):
-        east, north = 30.0 - radius * np.cos(turn), 60.0 + radius * np.sin(turn)
-        height = ramp_height_m(turn)
-        ends[side] = bridge[side][-1:] + make.border(identity, east, north, height)
-    make.lanelet(RAMP, ends[-2.0], ends[2.0], (41, 42))
+    ends = [
+        side[-1:]
+        + make.border(
+            first_id, 30.0 - radius * np.cos(turn), 60.0 + radius * np.sin(turn), ramp_height_m(turn)
+        )
+        for side, radius, first_id in zip(sides, (32.0, 28.0), (4000, 4200), strict=True)
+    ]
+    make.lanelet(RAMP, ends[0], ends[1], (41, 42))
+    return make.map()
 
 
 def ramp_height_m(turn_rad: Floats) -> Floats:
     """Of the ramp, by how far it has turned: it goes on as the bridge ends."""
-    height: Floats = (
-        bridge_height_m(np.full(np.shape(turn_rad), 60.0), np.zeros(np.shape(turn_rad))) - 2.4 * turn_rad
-    )
+    height: Floats = bridge_height_m(np.array(60.0), 0.0) - 2.4 * turn_rad
     return height
 
 

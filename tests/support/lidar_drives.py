@@ -18,6 +18,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from heapq import merge
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -130,7 +131,7 @@ class LidarDrive:
     @property
     def map_folder(self) -> Path:
         """The release of the roads around, made at the first call; gone when the process ends."""
-        return _surveyed(_District(self.district), self.surveyed_links, self.start_ns - SURVEYED_BEFORE_NS)
+        return _surveyed(self.district, self.surveyed_links, self.start_ns - SURVEYED_BEFORE_NS)
 
     @property
     def map_release(self) -> Release:
@@ -188,19 +189,8 @@ class LidarDrive:
 
     def ticks(self, *, sweeps: bool = True, threads: int = 1, every: int = 1) -> Iterator[Tick]:
         """What arrives, in the order of its stamps; a sweep is made when its turn has come, every so many of them."""
-        parts = _sensor_ticks(self)
-        if not sweeps:
-            yield from parts
-            return
-        waiting = next(parts, None)
-        for sweep in self.sweeps(threads, every):
-            while waiting is not None and waiting.time_ns <= sweep.time_ns:
-                yield waiting
-                waiting = next(parts, None)
-            yield Tick(sweep.time_ns, sweep=sweep)
-        while waiting is not None:
-            yield waiting
-            waiting = next(parts, None)
+        made = (Tick(sweep.time_ns, sweep=sweep) for sweep in self.sweeps(threads, every)) if sweeps else ()
+        yield from merge(_sensor_ticks(self), made, key=lambda tick: tick.time_ns)
 
     def sweeps(self, threads: int = 1, every: int = 1) -> Iterator[Sweep]:
         """Only these; as many at a time as threads, none kept."""
@@ -260,7 +250,7 @@ def lidar_drive(
     `traffic`: vehicles around; None: as many as the scenario says, or six. Seconds of faults count from the
     trajectory's beginning (vehicle) and the drive's (LiDAR). Raises ValueError where the route is over by then.
     """
-    world, path, trajectory, settings = _driven(scenario, seed, route, rounds, vehicle_faults)
+    world, path, trajectory = _driven(scenario, seed, route, rounds, vehicle_faults)
     begin_ns = int(trajectory.time_ns[0])
     start_ns, end_ns = (begin_ns + round(t * 10) * (NS // 10) for t in (start_s, start_s + duration_s))
     if end_ns > int(trajectory.time_ns[-1]):
@@ -273,7 +263,8 @@ def lidar_drive(
     if drive_seed is None:
         drive_seed = int(stream(seed, f"drive {scenario} {route} {start_s}").integers(2**62))
     if traffic is None:
-        traffic = settings.lidar.traffic if settings is not None and settings.lidar is not None else 6
+        lidar = None if world.settings is None else world.settings.lidar
+        traffic = 6 if lidar is None else lidar.traffic
     in_drive = trajectory.time_ns >= start_ns
     return LidarDrive(
         name=f"{scenario} {seed} {route} {start_s:g} s",
@@ -299,11 +290,7 @@ def route_duration_s(scenario: str, seed: int, route: str = "default", rounds: i
     return float((trajectory.time_ns[-1] - trajectory.time_ns[0]) / NS)
 
 
-# Districts and what is driven in them
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _World:
+class _World(NamedTuple):
     district: District
     tracer: ShapeTracer
     settings: Scenario | None
@@ -313,7 +300,6 @@ class _Driven(NamedTuple):
     world: _World
     path: DrivenPath
     trajectory: Trajectory
-    settings: Scenario | None
 
 
 @lru_cache(maxsize=4)
@@ -337,7 +323,7 @@ def _driven(scenario: str, seed: int, route: str, rounds: int, faults: tuple[Fau
     path = district.path(route)
     start_ns = load_scenario("city").start_ns if settings is None else settings.start_ns
     trajectory = drive(path, CAR, start_ns=start_ns, faults=faults)
-    return _Driven(world, path, trajectory, settings)
+    return _Driven(world, path, trajectory)
 
 
 def hill_district(seed: int) -> District:
@@ -382,34 +368,14 @@ def _covered(district: District, place_m: Floats, link_id: Integers) -> np.ndarr
     return (s > roads.covered_m[row, 0]) & (s < roads.covered_m[row, 1])
 
 
-# The map
-
-
-class _District:
-    """A district as a key: the same object is the same district."""
-
-    def __init__(self, district: District) -> None:
-        self.district = district
-
-    def __hash__(self) -> int:
-        return id(self.district)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _District) and other.district is self.district
-
-
 @lru_cache(maxsize=64)
-def _surveyed(of: _District, links: tuple[int, ...], time_ns: int) -> Path:
+def _surveyed(district: District, links: tuple[int, ...], time_ns: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="camber-lidar-map-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    district = of.district
     around = Route(legs=tuple(Leg(link, True) for link in links))
     named = replace(district, layout=Layout(district.layout.roads, {"around": around}))
     write_survey(folder / "map", named, time_ns, SurveyErrors(), scanned_route="around")
     return folder / "map"
-
-
-# Surroundings and messages
 
 
 def _road_users(drive: LidarDrive) -> list[RoadUser]:

@@ -28,12 +28,18 @@ class LinkError(RuntimeError):
     """A command that the link is made with has failed."""
 
 
-def _run(*words: object) -> None:
+def _run(*words: object, check: bool = True) -> str:
+    """Output of a command; LinkError where it fails."""
     done = subprocess.run(
         [str(word) for word in words], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
-    if done.returncode != 0:
+    if check and done.returncode != 0:
         raise LinkError(f"{' '.join(map(str, words))}: {done.stderr.strip()}")
+    return done.stdout
+
+
+def _iptables(name: str, *words: str) -> str:
+    return _run("ip", "netns", "exec", name, "iptables", "-w", *words)
 
 
 @dataclass
@@ -44,33 +50,32 @@ class Link:
     _rules: list[tuple[str, list[str]]] = field(default_factory=list)
 
     @property
-    def ends(self) -> tuple[str, str]:
-        return f"cmbv{self.tag}", f"cmbc{self.tag}"
+    def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Namespace and network device, of the vehicle and of the cloud."""
+        return (f"cmbv{self.tag}", f"v{self.tag}"), (f"cmbc{self.tag}", f"c{self.tag}")
 
     @property
     def vehicle(self) -> list[str]:
         """Before a command: it then runs on the vehicle's side."""
-        return ["ip", "netns", "exec", self.ends[0]]
+        return ["ip", "netns", "exec", self.ends[0][0]]
 
     @property
     def cloud(self) -> list[str]:
-        return ["ip", "netns", "exec", self.ends[1]]
+        return ["ip", "netns", "exec", self.ends[1][0]]
 
     def make(self) -> None:
-        for name in self.ends:
+        for name, _ in self.ends:
             _run("ip", "netns", "add", name)
-        _run("ip", "link", "add", f"v{self.tag}", "type", "veth", "peer", "name", f"c{self.tag}")
-        for name, letter, address in zip(self.ends, "vc", (VEHICLE_ADDRESS, CLOUD_ADDRESS), strict=True):
-            _run("ip", "link", "set", f"{letter}{self.tag}", "netns", name)
-            _run("ip", "-n", name, "addr", "add", f"{address}/24", "dev", f"{letter}{self.tag}")
-            _run("ip", "-n", name, "link", "set", f"{letter}{self.tag}", "up")
+        _run("ip", "link", "add", self.ends[0][1], "type", "veth", "peer", "name", self.ends[1][1])
+        for (name, device), address in zip(self.ends, (VEHICLE_ADDRESS, CLOUD_ADDRESS), strict=True):
+            _run("ip", "link", "set", device, "netns", name)
+            _run("ip", "-n", name, "addr", "add", f"{address}/24", "dev", device)
+            _run("ip", "-n", name, "link", "set", device, "up")
             _run("ip", "-n", name, "link", "set", "lo", "up")
 
     def remove(self) -> None:
-        for name in self.ends:
-            subprocess.run(
-                ["ip", "netns", "del", name], stdin=subprocess.DEVNULL, capture_output=True, check=False
-            )
+        for name, _ in self.ends:
+            _run("ip", "netns", "del", name, check=False)
 
     def cut(self) -> None:
         """Drop every packet in both directions, silently."""
@@ -82,63 +87,39 @@ class Link:
 
     def slow(self, kbit_s: int) -> None:
         """Limit the rate in both directions; packets that wait for longer than 0.4 s are dropped."""
-        for name, letter in zip(self.ends, "vc", strict=True):
-            _run(
-                "tc", "-n", name, "qdisc", "replace", "dev", f"{letter}{self.tag}", "root", "tbf",
-                "rate", f"{kbit_s}kbit", "burst", "4kb", "latency", f"{_LATENCY_MS}ms",
-            )  # fmt: skip
+        shape = ("rate", f"{kbit_s}kbit", "burst", "4kb", "latency", f"{_LATENCY_MS}ms")
+        for name, device in self.ends:
+            _run("tc", "-n", name, "qdisc", "replace", "dev", device, "root", "tbf", *shape)
 
     def join(self) -> None:
         """Remove all drop rules; the rate limit stays."""
         while self._rules:
             name, rule = self._rules.pop()
-            _run("ip", "netns", "exec", name, "iptables", "-w", "-D", *rule)
+            _iptables(name, "-D", *rule)
 
     def mend(self) -> None:
         """Remove drop rules and rate limit."""
         self.join()
-        for name, letter in zip(self.ends, "vc", strict=True):
-            subprocess.run(
-                ["tc", "-n", name, "qdisc", "del", "dev", f"{letter}{self.tag}", "root"],
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                check=False,
-            )
+        for name, device in self.ends:
+            _run("tc", "-n", name, "qdisc", "del", "dev", device, "root", check=False)
 
     def dropped(self) -> int:
         """Packets that the rules in force have taken out so far."""
-        result = 0
-        for name in self.ends:
-            listed = subprocess.run(
-                ["ip", "netns", "exec", name, "iptables", "-w", "-nvxL", "INPUT"],
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            result += sum(int(line.split()[0]) for line in listed.stdout.splitlines() if " DROP " in line)
-        return result
+        listed = "".join(_iptables(name, "-nvxL", "INPUT") for name, _ in self.ends)
+        return sum(int(line.split()[0]) for line in listed.splitlines() if " DROP " in line)
 
     def held_back(self) -> int:
         """How often the slow link has made a packet wait."""
-        result = 0
-        for name, letter in zip(self.ends, "vc", strict=True):
-            listed = subprocess.run(
-                ["tc", "-n", name, "-s", "-j", "qdisc", "show", "dev", f"{letter}{self.tag}"],
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            result += sum(
-                qdisc["overlimits"] for qdisc in json.loads(listed.stdout) if qdisc["kind"] == "tbf"
-            )
-        return result
+        listed = [
+            _run("tc", "-n", name, "-s", "-j", "qdisc", "show", "dev", device) for name, device in self.ends
+        ]
+        qdiscs = [qdisc for text in listed for qdisc in json.loads(text)]
+        return sum(qdisc["overlimits"] for qdisc in qdiscs if qdisc["kind"] == "tbf")
 
     def _drop(self, *which: str) -> None:
-        for name, letter in zip(self.ends, "vc", strict=True):
-            rule = ["INPUT", "-i", f"{letter}{self.tag}", *which, "-j", "DROP"]
-            _run("ip", "netns", "exec", name, "iptables", "-w", "-A", *rule)
+        for name, device in self.ends:
+            rule = ["INPUT", "-i", device, *which, "-j", "DROP"]
+            _iptables(name, "-A", *rule)
             self._rules.append((name, rule))
 
 

@@ -6,7 +6,6 @@ what lies in the past once it is made is not sent.
 
 from __future__ import annotations
 
-import shutil
 import socket
 import subprocess
 import threading
@@ -16,23 +15,23 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import numpy as np
-import pytest
-
-from camber.formats.drive.truth_csv import TruthTable, read_truth
-from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.formats.drive.truth_csv import read_truth
 from camber.gnss.warm_up import warm_up
 from camber.replay.arrivals import TimedBytes
 from camber.replay.observation_files import read_observation_file
-from camber.runtime.clock import SystemClock
-from camber.runtime.query import query_once
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.gnss import Fix
-from camber.schemas.health import Health, HealthRequest
-from support.running import camber, free_port, started, wait_until
+from camber.schemas.health import Health
+from support.raw_drive import error_m
+from support.running import (
+    CLOCK,
+    camber,
+    camber_started,
+    health_of,
+    loopback_router,
+    settings_file,
+    wait_until,
+)
 
-PASSWORD = "geheim"
-CLOCK = SystemClock()
 _GPS_AHEAD_OF_UTC = timedelta(seconds=18)
 
 
@@ -49,17 +48,11 @@ class LiveDrive:
         assert made.returncode == 0, made.stderr
         _, _, self.rover = read_observation_file(folder / "rover.ubx", None)
         _, _, self.base = read_observation_file(folder / "base.rtcm", self.rover[0].time_ns)
-        self._truth: TruthTable = read_truth(folder / "truth.csv", "camber")
+        self._truth = read_truth(folder / "truth.csv", "camber")
 
     def error_m(self, fix: Fix) -> float:
         """How far a fix is from the truth of its epoch, in three dimensions."""
-        (row,) = np.flatnonzero(self._truth.time_ns == fix.time_ns).tolist()
-        truth = self._truth
-        true = ecef_from_geodetic_scalar(
-            truth.latitude_rad[row], truth.longitude_rad[row], truth.height_m[row]
-        )
-        position_m = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
-        return float(np.linalg.norm(np.subtract(position_m, true)))
+        return error_m(self._truth, fix)
 
 
 class Port(threading.Thread):
@@ -137,42 +130,15 @@ def serving(parts: list[TimedBytes]) -> Iterator[Port]:
         port.end()
 
 
-@contextmanager
-def caster(base: Port, number: int, password: str = PASSWORD) -> Iterator[None]:
-    """RTKLIB's caster with one mountpoint, BASE, whose base station is a port of ours."""
-    program = shutil.which("str2str")
-    if program is None:
-        pytest.skip("str2str of RTKLIB is not installed")
-    process = subprocess.Popen(
-        [
-            *(program, "-in", f"tcpcli://127.0.0.1:{base.number}", "-r", "200"),
-            *("-out", f"ntripc://driver:{password}@:{number}/BASE:base"),
-        ],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
 class LiveGnss:
     """A router and `camber gnss` as processes."""
 
     def __init__(self, endpoint: str, process: subprocess.Popen[str]) -> None:
         self.endpoint, self.process = endpoint, process
-        self._settings = ServiceSettings(
-            vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint])
-        )
 
     def health(self) -> Health:
         """As it says itself."""
-        request = HealthRequest(time_ns=CLOCK.now_ns())
-        health: Health = query_once(self._settings, "health", request, service="gnss", timeout_s=5.0)
-        return health
+        return health_of(self.endpoint, "gnss")
 
     def issues(self) -> dict[str, str]:
         """Texts by code."""
@@ -182,20 +148,15 @@ class LiveGnss:
 @contextmanager
 def live_gnss(folder: Path, rover: Port, caster_port: int) -> Iterator[LiveGnss]:
     """The engine's positions of a receiver's port and a caster's base."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = folder / "gnss.toml"
-    config.write_text(
-        f'vehicle = "car"\npositions = "engine"\nsource = "tcp:127.0.0.1:{rover.number}"\nprotocol = "ubx"\n'
-        f'base_source = "ntrip://127.0.0.1:{caster_port}/BASE"\nntrip_user = "driver"\n'
-        f'ntrip_password = "{PASSWORD}"\nposition_interval_s = 1.0\nsilence_s = 2.0\n'
-        f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
-    )
     log = folder / "gnss.log"
-    with (
-        started("-m", "camber.cli", "router", "--listen", endpoint, stdout=subprocess.DEVNULL),
-        log.open("w") as file,
-        started("-m", "camber.cli", "gnss", "--config", config, stdout=file) as process,
-    ):
+    lines = (
+        'positions = "engine"', f'source = "tcp:127.0.0.1:{rover.number}"', 'protocol = "ubx"',
+        f'base_source = "ntrip://127.0.0.1:{caster_port}/BASE"', 'ntrip_user = "driver"',
+        'ntrip_password = "geheim"', "position_interval_s = 1.0", "silence_s = 2.0",
+    )  # fmt: skip
+    with loopback_router() as endpoint, log.open("w") as file, camber_started(
+        "gnss", "--config", settings_file(folder / "gnss.toml", endpoint, *lines), stdout=file
+    ) as process:  # fmt: skip
         wait_until(
             lambda: "started" in log.read_text() or process.poll() is not None,
             timeout_s=300.0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -58,6 +59,17 @@ def road(
     )  # type: ignore[arg-type]
 
 
+def geometry(
+    start: Sequence[float], length_m: float, shape: str = "line", numbers: tuple[float, ...] = ()
+) -> PlanViewGeometry:
+    """A reference line from a place on: x, y, heading."""
+    x_m, y_m, heading_rad = map(float, start)
+    return PlanViewGeometry(
+        s_m=0.0, x_m=x_m, y_m=y_m, heading_rad=heading_rad, length_m=length_m, shape=shape, numbers=numbers,
+        normalised=shape == "paramPoly3",
+    )  # fmt: skip
+
+
 def street_geometries() -> list[PlanViewGeometry]:
     """100 m straight, a clothoid of 40 m to the left, 60 m of arc, a clothoid out of it, 30 m straight."""
     k = 1.0 / RADIUS_M
@@ -65,54 +77,14 @@ def street_geometries() -> list[PlanViewGeometry]:
         ("line", 100.0, ()), ("spiral", 40.0, (0.0, k)), ("arc", 60.0, (k,)),
         ("spiral", 40.0, (k, 0.0)), ("line", 30.0, ()),
     ]  # fmt: skip
-    return chained(EAST_M, NORTH_M, 0.2, parts)
-
-
-def chained(
-    x_m: float, y_m: float, heading: float, parts: list[tuple[str, float, tuple[float, ...]]]
-) -> list[PlanViewGeometry]:
-    """Geometries one after the other."""
     geometries: list[PlanViewGeometry] = []
-    s = 0.0
-    for shape, length, numbers in parts:
-        geometries.append(
-            PlanViewGeometry(
-                s_m=s, x_m=x_m, y_m=y_m, heading_rad=heading, length_m=length, shape=shape, numbers=numbers
-            )
-        )
-        piece = road(
-            "",
-            [
-                PlanViewGeometry(
-                    s_m=0.0,
-                    x_m=x_m,
-                    y_m=y_m,
-                    heading_rad=heading,
-                    length_m=length,
-                    shape=shape,
-                    numbers=numbers,
-                )
-            ],
-            [],
-        )
-        x_m, y_m, heading = reference_line(piece, np.array([length]))[0].tolist()
-        s += length
+    start, s_m = np.array([EAST_M, NORTH_M, 0.2]), 0.0
+    for shape, length_m, numbers in parts:
+        part = geometry(start, length_m, shape, numbers)
+        geometries.append(replace(part, s_m=s_m))
+        start = reference_line(road("", [part], []), np.array([length_m]))[0]
+        s_m += length_m
     return geometries
-
-
-def _from_end(end: Floats, length_m: float, shape: str, numbers: tuple[float, ...]) -> PlanViewGeometry:
-    """A reference line that begins where another ends: at x, y, heading."""
-    x_m, y_m, heading_rad = end.tolist()
-    return PlanViewGeometry(
-        s_m=0.0,
-        x_m=x_m,
-        y_m=y_m,
-        heading_rad=heading_rad,
-        length_m=length_m,
-        shape=shape,
-        numbers=numbers,
-        normalised=shape == "paramPoly3",
-    )
 
 
 def town() -> OpenDrive:
@@ -134,10 +106,10 @@ def town() -> OpenDrive:
     )  # fmt: skip
     middle = reference_line(street_road, np.array([50.0]))[0]
     across = middle[2] + 0.5 * math.pi
-    x, y = middle[0] - 60.0 * math.cos(across), middle[1] - 60.0 * math.sin(across)
+    start = middle[0] - 60.0 * math.cos(across), middle[1] - 60.0 * math.sin(across), across
     bridge = road(
         "2",
-        [PlanViewGeometry(s_m=0.0, x_m=x, y_m=y, heading_rad=across, length_m=120.0, shape="line")],
+        [geometry(start, 120.0)],
         [LaneSection(0.0, [lane(1, before=None, after=1), lane(-1, after=-1)])],
         elevation=cubics((0.0, 525.0, 0.08, -0.08 / 120.0, 0.0)),
         successor=RoadEnd(kind="road", identity="3", contact="start"),
@@ -146,7 +118,7 @@ def town() -> OpenDrive:
     bend = (0.0, 80.0, 0.0, 0.0, 0.0, 0.0, 20.0, -10.0)
     ramp = road(
         "3",
-        [_from_end(end, 81.2, "paramPoly3", bend)],
+        [geometry(end, 81.2, "paramPoly3", bend)],
         [LaneSection(0.0, [lane(1, before=1), lane(-1, before=-1)])],
         elevation=cubics((0.0, 525.0, -0.05, 0.0, 0.0)),
         predecessor=RoadEnd(kind="road", identity="2", contact="end"),
@@ -154,7 +126,7 @@ def town() -> OpenDrive:
     last = reference_line(street_road, np.array([street_road.length_m]))[0]
     turn = road(
         "4",
-        [_from_end(last, 25.0, "arc", (-0.05,))],
+        [geometry(last, 25.0, "arc", (-0.05,))],
         [LaneSection(0.0, [lane(-1, before=-1)])],
         elevation=cubics((0.0, *_rise(street_road), 0.0, 0.0)),
         predecessor=RoadEnd(kind="road", identity="1", contact="end"),

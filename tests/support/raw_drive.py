@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camber.formats.drive.truth_csv import read_truth
+from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.observation_files import read_observation_file
@@ -38,13 +38,7 @@ class RawDrive:
 
     def error_m(self, fix: Fix) -> float:
         """How far a fix is from the truth of its epoch, in three dimensions."""
-        (row,) = np.flatnonzero(self._truth.time_ns == fix.time_ns).tolist()
-        truth = self._truth
-        true = ecef_from_geodetic_scalar(
-            float(truth.latitude_rad[row]), float(truth.longitude_rad[row]), float(truth.height_m[row])
-        )
-        position_m = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
-        return float(np.linalg.norm(np.subtract(position_m, true)))
+        return error_m(self._truth, fix)
 
     def frames(self, epoch: int) -> list[bytes]:
         """The base's messages of one epoch."""
@@ -53,3 +47,12 @@ class RawDrive:
     def _rinex(self, name: str) -> tuple[bytes, list[bytes]]:
         _, header, parts = read_observation_file(self.folder / name, None)
         return header, [part.payload for part in parts]
+
+
+def error_m(truth: TruthTable, fix: Fix) -> float:
+    """How far a fix is from the truth of its epoch, in three dimensions."""
+    (row,) = np.flatnonzero(truth.time_ns == fix.time_ns).tolist()
+    place = (truth.latitude_rad[row], truth.longitude_rad[row], truth.height_m[row])
+    true_m = ecef_from_geodetic_scalar(*map(float, place))
+    position_m = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
+    return float(np.linalg.norm(np.subtract(position_m, true_m)))

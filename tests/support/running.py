@@ -1,4 +1,4 @@
-"""Starts Camber's commands as real processes, and reads what a replay has left behind."""
+"""Runs Camber's commands as real processes, on a bus and in replays, and reads what a replay has left behind."""
 
 import json
 import os
@@ -8,8 +8,8 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,21 @@ from camber.replay.drive_inputs import prepare_drive
 from camber.replay.one_process import ReportedIssue, replay_in_one_process
 from camber.replay.run_folder import RunFacts, drive_facts
 from camber.replay.short_drive import START_NS
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import query_once
+from camber.runtime.session import open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings, to_toml
 from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
+from camber.schemas.health import Health, HealthRequest
 from camber.validation.evaluation import CHANNELS, evaluate
 from camber.validation.reference_trajectory import truth_of
 
 MACHINE = frozenset({"latency_ms", "notes", "speed_factor", "wall_s"})
 """What of a summary depends on the machine and its load; nothing else may."""
 
+CLOCK = SystemClock()
 _NS = 1_000_000_000
 
 
@@ -82,6 +89,55 @@ def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
                 stream.close()
 
 
+def camber_started(*arguments: object, **options: Any) -> AbstractContextManager[subprocess.Popen[str]]:
+    """`camber …` in the background."""
+    return started("-m", "camber.cli", *arguments, **options)
+
+
+class Processes:
+    """By name; each logs into the folder, and can be killed, frozen and started again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self._commands: dict[str, list[str]] = {}
+
+    def start(self, name: str, *command: object, within: Sequence[str] = ()) -> None:
+        """Run `within… python command…`; without a command, the one it was started with before."""
+        if command:
+            self._commands[name] = [*within, sys.executable, *map(str, command)]
+        with self.log(name).open("ab") as log:
+            self.running[name] = subprocess.Popen(
+                self._commands[name], env=environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+
+    def kill(self, name: str) -> None:
+        self.running[name].kill()
+        self.running[name].wait()
+
+    def freeze(self, name: str) -> None:
+        self.running[name].send_signal(signal.SIGSTOP)
+
+    def resume(self, name: str) -> None:
+        self.running[name].send_signal(signal.SIGCONT)
+
+    def log(self, name: str) -> Path:
+        return self.folder / f"{name}.log"
+
+    def ended(self) -> dict[str, str]:
+        """Processes that have ended though they should run, with the end of their logs."""
+        return {
+            name: self.log(name).read_text()[-1500:]
+            for name, process in self.running.items()
+            if process.poll() is not None
+        }
+
+    def end(self) -> None:
+        for process in self.running.values():
+            process.kill()
+            process.wait()
+
+
 def wait_until(what: Callable[[], Any], *, timeout_s: float, why: str) -> Any:
     """The first true value of `what`; an AssertionError saying `why` after the timeout."""
     deadline = time.monotonic() + timeout_s
@@ -98,6 +154,61 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+def free_endpoint() -> str:
+    """An endpoint of the loopback on which nobody listens."""
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+@contextmanager
+def loopback_router(endpoint: str | None = None) -> Iterator[str]:
+    """`camber router` on the loopback, from when it listens on; where it is."""
+    endpoint = endpoint or free_endpoint()
+    with camber_started("router", "--listen", endpoint) as process:
+        assert process.stdout is not None
+        assert "listens" in process.stdout.readline()
+        yield endpoint
+
+
+def client_of(endpoint: str, vehicle: str = "car") -> ServiceSettings:
+    """Settings of a client of a router."""
+    return ServiceSettings(vehicle=vehicle, zenoh=ZenohSettings(mode="client", connect=[endpoint]))
+
+
+def settings_file(path: Path, joining: str | ZenohSettings, *lines: str, vehicle: str = "car") -> Path:
+    """Settings of a service: these lines of TOML, and that it joins the router of an endpoint, or by such settings."""
+    zenoh = client_of(joining).zenoh if isinstance(joining, str) else joining
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join((f'vehicle = "{vehicle}"', *lines, "[zenoh]", to_toml(zenoh))))
+    return path
+
+
+def bus_of(endpoint: str, service: str, vehicle: str = "car") -> Bus:
+    """The bus of a service that is part of the test."""
+    settings = client_of(endpoint, vehicle)
+    return Bus(open_session(settings.zenoh), settings, service, CLOCK)
+
+
+def health_of(endpoint: str, service: str, vehicle: str = "car", *, timeout_s: float = 5.0) -> Health:
+    """Health of a service, as it answers now."""
+    request = HealthRequest(time_ns=CLOCK.now_ns())
+    return query_once(client_of(endpoint, vehicle), "health", request, service=service, timeout_s=timeout_s)
+
+
+def replayed(manifest: Path, out: Path, *more: object, timeout_s: float = 150.0) -> Path:
+    """The folder that a replay leaves."""
+    done = camber("replay", manifest, "--out", out, "--quiet", *more, timeout_s=timeout_s)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def replaying(
+    manifest: Path, out: Path, end_s: float, speed: object, *more: object
+) -> AbstractContextManager[subprocess.Popen[str]]:
+    """A replay by real processes, in the background."""
+    to_end = ("--processes", "--quiet", "--set", f"end_s={end_s}", "--speed", speed)
+    return camber_started("replay", manifest, "--out", out, *to_end, *more)
 
 
 def process_ids(out: Path) -> dict[str, int]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, ScanMatch
+from camber.tools.localize.localizer_run import IssueTally
 
 NS = 1_000_000_000
 START_NS = 1_400_000_000 * NS
@@ -35,20 +35,6 @@ def geodetic(east_m: float, north_m: float) -> tuple[float, float]:
 
 def east_north(latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
     return FRAME.east_north_from_geodetic(latitude_rad, longitude_rad, 0.0)
-
-
-@dataclass
-class CountedDiagnostics:
-    """What the localizer reports."""
-
-    issues: Counter[str] = field(default_factory=Counter)
-    counters: Counter[str] = field(default_factory=Counter)
-
-    def issue(self, code: str, text: str) -> None:
-        self.issues[code] += 1
-
-    def count(self, name: str) -> None:
-        self.counters[name] += 1
 
 
 class StreetDrive:
@@ -69,7 +55,7 @@ class StreetDrive:
         matching: ScanMatchOptions | None = None,
     ) -> None:
         self.begin_m, self.speed_m_s = begin_m, speed_m_s
-        self.diagnostics = CountedDiagnostics()
+        self.diagnostics = IssueTally()
         self.answers = answers or SyntheticMap(_ROAD_M, _WALLS_M)
         self.seen_m = np.concatenate((_ROAD_M, _WALLS_M)) if seen_m is None else seen_m
         latitude_rad, longitude_rad = geodetic(begin_m + off_m[0], off_m[1])

@@ -1,37 +1,43 @@
-"""A TCP connection over a long way: all bytes in both directions come so much later, and in order."""
+"""A TCP connection over a relay: bytes come later, in order, and are counted; it can be cut."""
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import threading
 import time
-from collections import deque
+from contextlib import suppress
+from queue import SimpleQueue
 
 
-class SlowLink:
+class Relay:
     """Listens on a port of the loopback and passes on to another, `delay_s` later; use as a context."""
 
-    def __init__(self, to_port: int, delay_s: float) -> None:
-        self._to_port, self.delay_s = to_port, delay_s
+    def __init__(self, to_port: int, delay_s: float = 0.0) -> None:
+        self._to_port, self._delay_s = to_port, delay_s
+        self.bytes_passed = 0
+        """In both directions together."""
+        self._counting = threading.Lock()
+        self._is_cut = False
+        self._open: list[socket.socket] = []
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._server.getsockname()[1]
-        self._sockets: list[socket.socket] = []
-        self._ended = threading.Event()
-
-    def __enter__(self) -> SlowLink:
         threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self) -> Relay:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._ended.set()
-        for one in (self._server, *self._sockets):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+        self.cut(True)
+        _end(self._server)
+
+    def cut(self, cut: bool) -> None:
+        """From now on nothing passes, or it does again."""
+        self._is_cut = cut
+        while cut and self._open:
+            _end(self._open.pop())
 
     def _accept(self) -> None:
-        while not self._ended.is_set():
+        while self._server.fileno() >= 0:
             try:
                 near, _ = self._server.accept()
             except OSError:
@@ -42,15 +48,15 @@ class SlowLink:
                 near.close()
                 continue
             far.settimeout(None)
-            for one in (near, far):
-                one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._sockets += [near, far]
+            self._open += [near, far]
             for source, sink in ((near, far), (far, near)):
+                source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._pass_on(source, sink)
+            if self._is_cut:
+                self.cut(True)
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
-        in_transit: deque[tuple[float, bytes]] = deque()
-        some = threading.Condition()
+        in_transit: SimpleQueue[tuple[float, bytes]] = SimpleQueue()
 
         def read() -> None:
             data = b"-"
@@ -59,24 +65,28 @@ class SlowLink:
                     data = source.recv(65_536)
                 except OSError:
                     data = b""
-                with some:
-                    in_transit.append((time.monotonic() + self.delay_s, data))
-                    some.notify()
+                with self._counting:
+                    self.bytes_passed += len(data)
+                in_transit.put((time.monotonic() + self._delay_s, data))
 
         def write() -> None:
-            while not self._ended.is_set():
-                with some:
-                    while not in_transit:
-                        some.wait()
-                    due, data = in_transit.popleft()
+            data = b"-"
+            while data:
+                due, data = in_transit.get()
                 time.sleep(max(due - time.monotonic(), 0.0))
                 try:
+                    sink.sendall(data)
                     if not data:
                         sink.shutdown(socket.SHUT_WR)
-                        return
-                    sink.sendall(data)
                 except OSError:
                     return
 
         for work in (read, write):
             threading.Thread(target=work, daemon=True).start()
+
+
+def _end(one: socket.socket) -> None:
+    """Also for a thread that waits for it."""
+    with suppress(OSError):
+        one.shutdown(socket.SHUT_RDWR)
+    one.close()
