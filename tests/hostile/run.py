@@ -69,9 +69,7 @@ class Observed:
         now_s, after = time.monotonic(), self.readings()
         verdict_counts = self.witness.verdict_counts(self.began_s, now_s)
         verdicts_of_right = sum(n for (fix, _), n in verdict_counts.items() if fix == "right")
-        right = sum(
-            n for (fix, verdict), n in verdict_counts.items() if fix == "right" and verdict in TRUSTED
-        )
+        right = sum(verdict_counts["right", trusted] for trusted in TRUSTED)
         seconds = now_s - self.began_s
         summary = Stretch(
             round(seconds, 1),

@@ -35,18 +35,14 @@ pytestmark = pytest.mark.slow
 
 END_S = 110.0
 RETURN_S = 5.0  # of right fixes
-REASON = {
-    "gnss": "gnss_absent",
-    "antenna_height": "antenna_height_absent",
-    "map_server": "map_server_absent",
-    "localizer": "localizer_absent",
-}
 OLDEST_S = {
     "gnss": BY_NAME["fix"].max_age_s,
     "antenna_height": BY_NAME["antenna_height"].max_age_s,
     "map_server": BY_NAME["elevation"].max_age_s,
     "localizer": BY_NAME["pose"].max_age_s,
 }
+REASON = {service: f"{service}_absent" for service in OLDEST_S}
+"""Of the judge's *unknown* while a service is away whose last message is too old."""
 EPOCH_S = 1.0 / RATE_HZ
 
 

@@ -73,7 +73,7 @@ def windows(
     for item in witness.since(began_s):
         if isinstance(item.message, Verdict) and item.message.fix_id is not None:
             judged_s.setdefault(item.message.fix_id, item.at_s)
-    problems = []
+    result: list[Window] = []
     at_s = began_s
     while at_s < until_s:
         end_s = at_s + WINDOW_S if until_s - at_s >= 2.0 * WINDOW_S else until_s
@@ -81,12 +81,10 @@ def windows(
         ms = [1e3 * (judged_s.get(item.message.fix_id, np.inf) - item.at_s) for item in fixes]
         p50, p99, largest = np.percentile(ms, [50, 99, 100], method="higher") if ms else (np.inf,) * 3
         verdict_counts = witness.verdict_counts(at_s, end_s)
-        right = sum(
-            n for outcome, n in verdict_counts.items() if outcome[0] == "right" and outcome[1] in TRUSTED
-        )
+        right = sum(verdict_counts["right", trusted] for trusted in TRUSTED)
         spent = [busy_of for at, busy_of in busy if at_s <= at < end_s]
         load = (spent[-1] - spent[0]) / (EVERY_S * (len(spent) - 1)) if len(spent) > 1 else float("nan")
-        problems.append(
+        result.append(
             Window(
                 round(at_s - began_s, 1),
                 round(end_s - began_s, 1),
@@ -101,7 +99,7 @@ def windows(
             )
         )
         at_s = end_s
-    return problems
+    return result
 
 
 def drift(readings: list[Reading]) -> dict[str, float]:
