@@ -18,9 +18,8 @@ import math
 import multiprocessing
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,38 +34,31 @@ WRONG_M = 0.5
 _RESAMPLED = 4000
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """One drive, and what is to be done with it."""
+class Asked(NamedTuple):
+    """One drive of `seconds`, and what is to be done with it."""
 
-    scenario: str
+    options: argparse.Namespace
     seed: int
     start_s: float
     seconds: float
-    beams: int
-    lidar: bool
-    alone: bool
-    every: int
-    given: float
-    keep: Path | None
-    route: str
 
 
 def one(asked: Asked) -> Localized | Errors:
     """In this process."""
+    options = asked.options
     drive = kept_drive(
-        asked.scenario,
+        options.scenario,
         asked.seed,
-        folder=asked.keep,
+        folder=options.keep,
         start_s=asked.start_s,
         duration_s=asked.seconds,
-        every=asked.every,
-        **({} if asked.beams == 32 else {"beams": asked.beams}),
-        **({} if asked.route == "default" else {"route": asked.route}),
+        every=options.every,
+        **({} if options.beams == 32 else {"beams": options.beams}),
+        **({} if options.route == "default" else {"route": options.route}),
     )
-    if asked.alone:
+    if options.alone:
         return matched_alone(drive)
-    return localized(drive, lidar=asked.lidar, given=asked.given)
+    return localized(drive, lidar=not options.no_lidar, given=options.given)
 
 
 def share_and_interval(inside: Sequence[NDArray[np.bool_]]) -> dict[str, float]:
@@ -193,13 +185,7 @@ def _asked(args: argparse.Namespace) -> list[Asked]:
         last_s = min(last_s, route_duration_s(args.scenario, seed, args.route))
         seconds = math.floor(last_s - 1.0) if args.whole else args.seconds
         starts = [0.0] if args.whole else np.linspace(first_s, last_s - seconds - 0.5, args.drives).tolist()
-        measured += [
-            Asked(
-                args.scenario, seed, round(start_s, 1), seconds, args.beams, not args.no_lidar, args.alone,
-                args.every, args.given, args.keep, args.route,
-            )
-            for start_s in starts
-        ]  # fmt: skip
+        measured += [Asked(args, seed, round(start_s, 1), seconds) for start_s in starts]
     return measured
 
 

@@ -1,13 +1,11 @@
 """The recording `street-lidar` as map and query: the map from its even sweeps, ten odd ones overlaid as the query.
 
-`PYTHONPATH=tests python -m support.street_lidar` prints the tables of the matcher (CAMBER_DATA names the recordings).
 The pseudo truth is good to about 2 cm, and map and query share it: no smaller error can be resolved.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 from collections import deque
 from dataclasses import dataclass
 from functools import cache
@@ -82,6 +80,7 @@ def thinned(points_m: Floats, voxel_m: float) -> Floats:
     return np.ascontiguousarray(mean[np.argsort(first)])
 
 
+@cache
 def overlaid(k: int) -> Floats:
     """The ten odd sweeps up to sweep k in the vehicle frame of sweep k, thinned."""
     ks = range(k - 2 * (SWEEPS - 1), k + 1, 2)
@@ -182,11 +181,6 @@ class Query:
         return np.array([*(result[:2, 3] - self.truth[:2, 3]), np.arctan2(turned[1, 0], turned[0, 0])])
 
 
-@cache
-def _local_map(k: int) -> Floats:
-    return overlaid(k)
-
-
 def queries(
     off_m: float, off_deg: float, each: int, change: Change | None = None, seed: int = 5
 ) -> list[Query]:
@@ -195,7 +189,7 @@ def queries(
     result = []
     for k in QUERIES:
         for _ in range(each):
-            truth, points_m = poses()[k], _local_map(k)
+            truth, points_m = poses()[k], overlaid(k)
             if change is not None:
                 above_m = ground().height_above(transform_points(truth, points_m))
                 points_m = changed(points_m, above_m, change, random)
@@ -215,18 +209,3 @@ def _next_to(truth: Floats, off_m: float, off_deg: float, random: np.random.Gene
     )
     tilted[:2, 3] += off_m * np.array([np.cos(offset), np.sin(offset)])
     return tilted
-
-
-def main() -> int:
-    """The tables; in `street_lidar_tables`, which imports this module."""
-    from support.street_lidar_tables import print_tables
-
-    if folder() is None:
-        print("CAMBER_DATA does not name a folder with street-lidar", file=sys.stderr)
-        return 1
-    print_tables()
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,4 +1,4 @@
-"""The matcher on a real street, to a pseudo truth of about 2 cm. The tables: `python -m support.street_lidar`."""
+"""The matcher on a real street, to a pseudo truth of about 2 cm. Tables: `support.street_lidar_tables`."""
 
 from __future__ import annotations
 
