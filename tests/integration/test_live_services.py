@@ -2,8 +2,6 @@
 
 import os
 import pty
-import select
-import socket
 import subprocess
 import threading
 import time
@@ -22,6 +20,7 @@ from camber.schemas.channels import BY_NAME, SERVICES
 from camber.schemas.integrity import Verdict
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose
+from support.hostile_caster import HostileCaster, Peer
 from support.running import (
     CLOCK,
     Processes,
@@ -57,30 +56,17 @@ def epoch(height_error_m: float = 0.0) -> bytes:
     return format_rmc(solution) + format_gga(solution, geoid_separation_m=37.0) + format_gst(solution)
 
 
-class Receiver(threading.Thread):
+class Receiver(HostileCaster):
     """A receiver that serves NMEA over TCP to all that connect."""
 
     def __init__(self, port: int = 0) -> None:
-        super().__init__(daemon=True)
-        self.server = socket.create_server(("127.0.0.1", port))
-        self.port = self.server.getsockname()[1]
+        super().__init__(self.script, port=port)
         self.height_error_m = 0.0
-        self.ended = threading.Event()
 
-    def run(self) -> None:
-        clients: list[socket.socket] = []
-        while not self.ended.wait(PERIOD_S):
-            if select.select([self.server], [], [], 0.0)[0]:
-                clients.append(self.server.accept()[0])
-            for client in list(clients):
-                try:
-                    client.sendall(epoch(self.height_error_m))
-                except OSError:
-                    clients.remove(client)
-                    client.close()
-        for client in clients:
-            client.close()
-        self.server.close()
+    def script(self, peer: Peer) -> None:
+        while True:
+            peer.say(epoch(self.height_error_m))
+            peer.wait(PERIOD_S)
 
 
 class Wheels(threading.Thread):
@@ -105,9 +91,9 @@ class Vehicle(Processes):
         super().__init__(folder)
         self.endpoint = free_endpoint()
         self.receiver = Receiver()
+        self.receiver.start()
 
     def assemble(self) -> None:
-        self.receiver.start()
         write_short_drive(self.folder / "drive")
         pose = tomllib.loads((self.folder / "drive" / "drive.toml").read_text())["initial_pose"]
         lines = {
@@ -126,7 +112,7 @@ class Vehicle(Processes):
         return Subscription(*names, vehicle="car", connect=[self.endpoint])
 
     def end(self) -> None:
-        self.receiver.ended.set()
+        self.receiver.end()
         super().end()
 
 
@@ -198,8 +184,7 @@ def test_a_receiver_that_reboots_is_read_again(vehicle):
     before = vehicle.receiver
     with vehicle.listen("verdict") as listener:
         wait_for(listener, "confirmed", timeout_s=10.0)
-        before.ended.set()
-        before.join()
+        before.end()
         wait_until(
             lambda: (v := listener.next(1.0)) is not None and v.reason == "gnss_stale",
             timeout_s=5.0,

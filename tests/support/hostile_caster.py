@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Self
 
 from camber.tools.security.certificates import Authority
 
@@ -57,21 +58,28 @@ class Peer:
 class HostileCaster:
     """Runs the first script for the first connection, and so on; the last one for all others."""
 
-    def __init__(self, *scripts: Script, tls: ssl.SSLContext | None = None) -> None:
+    def __init__(self, *scripts: Script, tls: ssl.SSLContext | None = None, port: int = 0) -> None:
         self._scripts = scripts
         self._tls = tls
         self._stop = threading.Event()
-        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._listening = socket.create_server(("127.0.0.1", port))
         self._listening.settimeout(_STEP_S)
         self.port = self._listening.getsockname()[1]
         self.connections = 0
         self._threads = [threading.Thread(target=self._accept, name="hostile-caster")]
 
-    def __enter__(self) -> HostileCaster:
-        self._threads[0].start()
+    def __enter__(self) -> Self:
+        self.start()
         return self
 
     def __exit__(self, *exc: object) -> None:
+        self.end()
+
+    def start(self) -> None:
+        self._threads[0].start()
+
+    def end(self) -> None:
+        """Close all connections and the port."""
         self._stop.set()
         for thread in self._threads:
             thread.join()
