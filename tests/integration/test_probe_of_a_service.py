@@ -1,22 +1,13 @@
 """The probe that containers run: well, waiting, frozen, gone."""
 
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
-from support.running import environment, free_endpoint, loopback_router, settings_file, started, wait_until
+from support.running import free_endpoint, loopback_router, python, settings_file, started, wait_until
 
 
 def probed(service: str, settings: Path) -> tuple[int, str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "camber.runtime.health.probe", service, str(settings)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=30.0,
-        check=False,
-    )
+    done = python("-m", "camber.runtime.health.probe", service, settings, timeout_s=30.0)
     return done.returncode, done.stdout.strip()
 
 

@@ -3,7 +3,6 @@
 import re
 import signal
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -19,24 +18,19 @@ from camber.formats.lidar_can.candump import CandumpDecoder
 from camber.formats.lidar_can.pcap import PcapDecoder
 from camber.formats.map_exchange.pcd import read_sweep
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import query_once
+from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.runtime.subscription import Subscription
-from camber.schemas.health import Health
+from camber.schemas.health import HealthRequest
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.simulator.output.lidar_packets import velodyne_packets
-from support.running import (
-    CLOCK,
-    camber,
-    camber_started,
-    free_port,
-    health_of,
-    loopback_router,
-    settings_file,
-    wait_until,
-)
+from support.running import camber, free_port, started, wait_until
 
 pytestmark = [pytest.mark.timed, pytest.mark.slow]
 
+CLOCK = SystemClock()
 SECONDS = 4.0
 ROUND_NS = round(SECONDS * 1e9)
 AWAY_S = 2.0
@@ -56,35 +50,21 @@ def drive(tmp_path_factory) -> Path:
     return folder / "drive"
 
 
-@pytest.fixture
-def endpoint() -> Iterator[str]:
-    with loopback_router() as endpoint:
+@contextmanager
+def router() -> Iterator[str]:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with started("-m", "camber.cli", "router", "--listen", endpoint):
         yield endpoint
 
 
-@contextmanager
-def serving(endpoint: str, folder: Path, service: str, *lines: str) -> Iterator[subprocess.Popen[str]]:
-    """A service with these lines of settings, from when it answers on."""
-    config = settings_file(folder / f"{service}.toml", endpoint, *lines)
-
-    def answers() -> bool:
-        try:
-            return health(endpoint, service).service == service
-        except RuntimeError:
-            return False
-
-    with camber_started(service, "--config", config) as process:
-        wait_until(answers, timeout_s=90.0, why=f"no {service}")
-        yield process
+def health(endpoint: str, service: str = "sensors"):
+    settings = ServiceSettings(vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint]))
+    request = HealthRequest(time_ns=CLOCK.now_ns())
+    return query_once(settings, "health", request, service=service, timeout_s=20.0)
 
 
-def health(endpoint: str, service: str = "sensors") -> Health:
-    return health_of(endpoint, service, timeout_s=20.0)
-
-
-def lidar_over_udp(port: int, stamps: str, most_clock_error_s: float) -> str:
-    source = f'[lidar]\nsource = "udp:127.0.0.1:{port}"\nmodel = "HDL-32E"\n'
-    return f'{source}stamps = "{stamps}"\nmost_clock_error_s = {most_clock_error_s}\n'
+def bus(endpoint: str) -> str:
+    return f'vehicle = "car"\n[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
 
 
 def alike(sweep: Sweep, true: Sweep) -> None:
@@ -94,9 +74,7 @@ def alike(sweep: Sweep, true: Sweep) -> None:
     np.testing.assert_array_equal(sweep.intensity, true.intensity)
 
 
-def test_recordings_give_the_sweeps_and_motion_of_the_drive(
-    drive: Path, tmp_path: Path, endpoint: str
-) -> None:
+def test_recordings_give_the_sweeps_and_motion_of_the_drive(drive: Path, tmp_path: Path) -> None:
     """Dated now, so that they are accepted as live ones are; of sweeps a bus that is busy drops some, and no motion."""
     settings = (drive / "sensors.toml").read_text().replace('"lidar.pcap"', '"pcap"')
     settings = re.sub(
@@ -106,17 +84,19 @@ def test_recordings_give_the_sweeps_and_motion_of_the_drive(
     moved = read_motion(drive / "motion.csv")
     sweeps: list[Sweep] = []
     motion: list[Motion] = []
-    # Whatever its age: a machine may be busy with other things.
-    with (
-        Subscription("sweep", "motion", vehicle="car", connect=[endpoint], live=False) as listener,
-        serving(endpoint, tmp_path, "sensors", 'recordings = "now"', settings) as process,
-    ):
-        while (message := listener.next(10.0)) is not None:
-            (sweeps if isinstance(message, Sweep) else motion).append(message)
-            if len(sweeps) == len(true) and len(motion) == len(moved):
-                break
-        report = health(endpoint)
-        assert process.poll() is None
+    with router() as endpoint:
+        config = tmp_path / "sensors.toml"
+        config.write_text('recordings = "now"\n' + bus(endpoint) + settings)
+        # Whatever its age: a machine may be busy with other things.
+        listener = Subscription("sweep", "motion", vehicle="car", connect=[endpoint], live=False)
+        with listener, started("-m", "camber.cli", "sensors", "--config", str(config)) as process:
+            wait_until(lambda: answers(endpoint, "sensors"), timeout_s=60.0, why="no sensors")
+            while (message := listener.next(10.0)) is not None:
+                (sweeps if isinstance(message, Sweep) else motion).append(message)
+                if len(sweeps) == len(true) and len(motion) == len(moved):
+                    break
+            report = health(endpoint)
+            assert process.poll() is None
         refused = listener.refused
     assert {issue.code for issue in report.issues} <= {"lidar_ended", "can_ended", "sensor_silent"}
     assert report.counters["lidar.packets.lost"] == report.counters["lidar.packets.late"] == 0
@@ -177,21 +157,33 @@ class Sensor(threading.Thread):
     def off_s(self, sweep: Sweep) -> float:
         """How far the time of a sweep is from when it was measured, if it is one of those that were."""
         since_ns = sweep.time_ns - self.shift_ns - self.true[0].time_ns
-        in_round_ns = np.array([one.time_ns - self.true[0].time_ns for one in self.true])
-        off_ns = since_ns - np.add.outer(ROUND_NS * np.arange(self.rounds), in_round_ns).ravel()
-        return float(off_ns[np.abs(off_ns).argmin()] / 1e9)
+        nearest_ns = min(
+            (
+                number * ROUND_NS + one.time_ns - self.true[0].time_ns
+                for number in range(self.rounds)
+                for one in self.true
+            ),
+            key=lambda measured_ns: abs(since_ns - measured_ns),
+        )
+        return (since_ns - nearest_ns) / 1e9
 
 
-def test_a_live_lidar_with_a_localizer(drive: Path, tmp_path: Path, endpoint: str) -> None:
+def test_a_live_lidar_with_a_localizer(drive: Path, tmp_path: Path) -> None:
     port = free_port()
     sensor = Sensor(drive, port)
-    # So much a machine that is busy may take to hand a packet on.
-    lidar = lidar_over_udp(port, "utc_hour", 1.0)
-    with (
-        Subscription("sweep", vehicle="car", connect=[endpoint], live=False) as listener,
-        serving(endpoint, tmp_path, "localizer"),
-        serving(endpoint, tmp_path, "sensors", lidar),
-    ):
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        lidar = f'[lidar]\nsource = "udp:127.0.0.1:{port}"\nmodel = "HDL-32E"\nstamps = "utc_hour"\n'
+        # So much a machine that is busy may take to hand a packet on.
+        lidar += "most_clock_error_s = 1.0\n"
+        for name, settings in (("sensors", lidar), ("localizer", "")):
+            (tmp_path / f"{name}.toml").write_text(bus(endpoint) + settings)
+        listener = stack.enter_context(Subscription("sweep", vehicle="car", connect=[endpoint], live=False))
+        for name in ("localizer", "sensors"):
+            config = str(tmp_path / f"{name}.toml")
+            stack.enter_context(started("-m", "camber.cli", name, "--config", config))
+        for name in ("localizer", "sensors"):
+            wait_until(lambda name=name: answers(endpoint, name), timeout_s=90.0, why=f"no {name}")
         sensor.start()
         sweeps: list[Sweep] = []
         ages_s: list[float] = []
@@ -230,16 +222,20 @@ def test_a_live_lidar_with_a_localizer(drive: Path, tmp_path: Path, endpoint: st
     ("fault", "stamps"), [("killed", "utc_hour"), ("frozen", "utc_hour"), ("frozen", "arrival")]
 )
 def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
-    drive: Path, tmp_path: Path, endpoint: str, fault: str, stamps: str
+    drive: Path, tmp_path: Path, fault: str, stamps: str
 ) -> None:
     """What the kernel kept meanwhile comes with the times at which it was measured: consumers refuse it for its age."""
     sensor = Sensor(drive, free_port(), rounds=50)
-    # Less than the service is away: a packet's arrival is when the kernel had it, not when it was read.
-    lidar = lidar_over_udp(sensor.port, stamps, AWAY_S / 2)
     with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        config = tmp_path / "sensors.toml"
+        lidar = f'[lidar]\nsource = "udp:127.0.0.1:{sensor.port}"\nmodel = "HDL-32E"\nstamps = "{stamps}"\n'
+        # Less than the service is away: a packet's arrival is when the kernel had it, not when it was read.
+        config.write_text(bus(endpoint) + lidar + f"most_clock_error_s = {AWAY_S / 2}\n")
         listener = stack.enter_context(Subscription("sweep", vehicle="car", connect=[endpoint], live=False))
         stack.callback(sensor.ended.set)
-        process = stack.enter_context(serving(endpoint, tmp_path, "sensors", lidar))
+        process = stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
+        wait_until(lambda: answers(endpoint, "sensors"), timeout_s=90.0, why="no sensors")
         sensor.start()
         received: list[Sweep] = []
 
@@ -257,7 +253,7 @@ def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
         away_ns = CLOCK.now_ns()
         time.sleep(AWAY_S)
         if fault == "killed":
-            stack.enter_context(camber_started("sensors", "--config", tmp_path / "sensors.toml"))
+            stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
         else:
             process.send_signal(signal.SIGCONT)
         back_ns = CLOCK.now_ns()
@@ -277,6 +273,13 @@ def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
 
 def read_or_lost(report) -> int:
     return report.counters["lidar.packets.read"] + report.counters.get("lidar.lost_in_kernel", 0)
+
+
+def answers(endpoint: str, service: str) -> bool:
+    try:
+        return health(endpoint, service).service == service
+    except RuntimeError:
+        return False
 
 
 def test_the_recordings_are_what_other_programs_would_read(drive: Path) -> None:

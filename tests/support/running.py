@@ -51,17 +51,22 @@ def environment() -> dict[str, str]:
     return {**kept, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
 
 
-def camber(*arguments: object, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
-    """`camber …`, to its end."""
+def python(*arguments: object, timeout_s: float = 60.0, **options: Any) -> subprocess.CompletedProcess[str]:
+    """`python …`, to its end."""
     return subprocess.run(
-        [sys.executable, "-m", "camber.cli", *map(str, arguments)],
-        env=environment(),
+        [sys.executable, *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         timeout=timeout_s,
         check=False,
+        **{"env": environment(), **options},
     )
+
+
+def camber(*arguments: object, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    """`camber …`, to its end."""
+    return python("-m", "camber.cli", *arguments, timeout_s=timeout_s)
 
 
 @contextmanager
