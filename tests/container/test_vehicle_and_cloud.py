@@ -16,17 +16,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+)
 
 from camber.replay.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from camber.road_map.release import Release, load_signing_key, read_release, write_release
+from camber.runtime.clock import SystemClock
 from camber.runtime.query import query_once
-from camber.runtime.settings import ZenohSettings
+from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.road import ElevationRequest
 from support.containers import Stack, docker, skip_without_engine
 from support.containers import stack as built_stack
 from support.fleet_files import RAISED_M, RAISED_S, write_fleet
-from support.release_world import write_signing_keys
-from support.running import CLOCK, camber, camber_started, client_of, settings_file, wait_until
+from support.running import camber, started, wait_until
 from support.tree import ROOT
 
 pytestmark = [pytest.mark.container, pytest.mark.slow, pytest.mark.timed]
@@ -64,12 +71,13 @@ class World:
         truth = short_drive_truth()
         n = int(np.searchsorted((truth.time_ns - truth.time_ns[0]) / 1e9, sum(RAISED_S) / 2))
         request = ElevationRequest(
-            time_ns=CLOCK.now_ns(),
+            time_ns=SystemClock().now_ns(),
             latitude_rad=float(truth.latitude_rad[n]),
             longitude_rad=float(truth.longitude_rad[n]),
             last_surface_id=self.surface_id,  # on the bridge, not under it
         )
-        settings = client_of(f"tcp/127.0.0.1:{self.vehicle.port}", CAR)
+        bus = ZenohSettings(mode="client", connect=[f"tcp/127.0.0.1:{self.vehicle.port}"])
+        settings = ServiceSettings(vehicle=CAR, zenoh=bus)
         reply = query_once(settings, "elevation", request, service="map_server", timeout_s=5.0)
         road = reply.road
         assert road.elevation_m is not None, road.reason
@@ -148,24 +156,31 @@ def write_settings(folder: Path) -> None:
         "--listen", "tcp/127.0.0.1:7447", "--out", folder / "cloud/cloud_router.json5",
     )  # fmt: skip
     assert cloud.returncode == 0, cloud.stderr
+    key = Ed25519PrivateKey.generate()
+    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     (folder / "signing").mkdir()
-    write_signing_keys(folder / "signing", folder / "vehicle")
+    (folder / "signing/release.key").write_bytes(private)
+    (folder / "vehicle/release.pub").write_bytes(public)
     deployed = ROOT / "deploy" / "config"
     fuse = 'fuse_every_s = 1.0\nstreet_m = 60.0\nreference = "/var/lib/camber/maps/survey"\n'
     fuse += 'signing_key = "/etc/camber/signing/release.key"\n'
-    (folder / "cloud/map_update.toml").write_text(fuse + (deployed / "cloud/map_update.toml").read_text())
-    lines = {
-        "gnss": ('source = "bus"', 'protocol = "pos"'),
-        "localizer": (),
-        "antenna_height": (f"fixed_height_m = {ANTENNA_HEIGHT_M}", "fixed_sigma_m = 0.02"),
-        "integrity": ('state_dir = "/var/lib/camber/state"', "upload_every_s = 1.0"),
-        "map_server": (
-            'store = "/var/lib/camber/state/map.sqlite"', 'release = "/var/lib/camber/maps/survey"',
-            'public_key = "/etc/camber/release.pub"', "ask_every_s = 2.0", "ask_spread_s = 0.0",
-        ),
-    }  # fmt: skip
-    for name, settings in lines.items():
-        settings_file(folder / f"vehicle/{name}.toml", "tcp/router:7447", *settings, vehicle=CAR)
+    settings = {
+        "cloud/map_update": fuse + (deployed / "cloud/map_update.toml").read_text(),
+        "vehicle/gnss": 'source = "bus"\nprotocol = "pos"\n' + bus(),
+        "vehicle/localizer": bus(),
+        "vehicle/antenna_height": f"fixed_height_m = {ANTENNA_HEIGHT_M}\nfixed_sigma_m = 0.02\n" + bus(),
+        "vehicle/integrity": 'state_dir = "/var/lib/camber/state"\nupload_every_s = 1.0\n' + bus(),
+        "vehicle/map_server": 'store = "/var/lib/camber/state/map.sqlite"\nask_every_s = 2.0\n'
+        'release = "/var/lib/camber/maps/survey"\npublic_key = "/etc/camber/release.pub"\n'
+        "ask_spread_s = 0.0\n" + bus(),
+    }
+    for name, text in settings.items():
+        (folder / f"{name}.toml").write_text(text)
+
+
+def bus() -> str:
+    return f'vehicle = "{CAR}"\n[zenoh]\nmode = "client"\nconnect = ["tcp/router:7447"]\n'
 
 
 def survey(folder: Path) -> Release:
@@ -178,7 +193,7 @@ def survey(folder: Path) -> Release:
         map_version=1,
         datum=manifest.datum,
         epoch_year=manifest.epoch_year,
-        time_ns=CLOCK.now_ns() - 100 * 86_400 * 10**9,
+        time_ns=SystemClock().now_ns() - 100 * 86_400 * 10**9,
         surfaces=made.road_surfaces(),
         links=made.road_links(),
         signing_key=load_signing_key(folder / "signing/release.key"),
@@ -210,7 +225,7 @@ def test_the_vehicle_knows_nobody_in_the_cloud_but_its_router(world: World) -> N
 def test_a_drive_becomes_uploads_in_the_cloud_also_after_the_link_was_cut(world: World) -> None:
     router = f"tcp/127.0.0.1:{world.vehicle.port}"
     feed = ("feed", world.drive, "--loop", "--connect", router, "--vehicle", CAR)
-    with (world.folder / "feed.log").open("w") as log, camber_started(*feed, stdout=log):
+    with (world.folder / "feed.log").open("w") as log, started("-m", "camber.cli", *feed, stdout=log):
         wait_until(lambda: stored(world) > 0, timeout_s=90.0, why="no upload of the drive arrived")
         world.cut()
         time.sleep(CUT_S)
@@ -223,15 +238,16 @@ def test_a_drive_becomes_uploads_in_the_cloud_also_after_the_link_was_cut(world:
 def test_what_a_fleet_uploads_comes_back_as_a_release(world: World) -> None:
     older, before_m = world.elevation_m()
     for path in world.uploads:
-        name, folder = path.stem, world.folder / "ca"
-        joining = ZenohSettings(
-            mode="client",
-            connect=[f"tls/127.0.0.1:{world.cloud.cloud_port}"],
-            tls_ca=folder / "ca.pem",
-            tls_certificate=folder / f"{name}.pem",
-            tls_key=folder / f"{name}.key",
+        config = world.folder / f"{path.stem}.toml"
+        pair = "".join(
+            f'{name} = "{world.folder / "ca" / file}"\n'
+            for name, file in (
+                ("tls_ca", "ca.pem"),
+                ("tls_certificate", f"{path.stem}.pem"),
+                ("tls_key", f"{path.stem}.key"),
+            )
         )
-        config = settings_file(world.folder / f"{name}.toml", joining)
+        config.write_text(f'[zenoh]\nconnect = ["tls/127.0.0.1:{world.cloud.cloud_port}"]\n{pair}')
         done = camber("upload", path, "--config", config)
         assert done.returncode == 0, done.stderr
     wait_until(

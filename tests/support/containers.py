@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from support.running import free_port
 from support.tree import ROOT
 
 BUILD_LIMIT_S = 1800.0
@@ -34,6 +34,12 @@ def skip_without_engine() -> None:
     reason = missing_engine()
     if reason is not None:
         pytest.skip(reason)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def docker(*arguments: str, timeout_s: float = 60.0, check: bool = True) -> str:
