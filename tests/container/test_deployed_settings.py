@@ -6,7 +6,6 @@ import importlib
 import os
 import re
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,16 @@ from camber.replay.short_drive import ANTENNA_HEIGHT_M, write_short_drive
 from camber.runtime.session import router_endpoints
 from camber.runtime.settings import load
 from camber.schemas.channels import SENSORS, SERVICES, VEHICLE_SERVICES
-from support.running import camber
+from support.running import camber, python
 from support.tree import ROOT
 
 CONFIG = ROOT / "deploy" / "config"
 SETS = {"demo": SERVICES, "vehicle": (*VEHICLE_SERVICES, SENSORS), "cloud": ("map_update",)}
 EACH = [(folder, service) for folder, services in SETS.items() for service in services]
 VEHICLES = ("demo", "vehicle")
+of_each_file = pytest.mark.parametrize(
+    "path", sorted(CONFIG.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
 
 
 def settings_of(folder: str, service: str) -> Any:
@@ -39,18 +41,14 @@ def test_each_service_takes_its_settings_and_joins_the_router(folder: str, servi
     assert settings.clock == "system"
 
 
-@pytest.mark.parametrize(
-    "path", sorted(CONFIG.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
-)
+@of_each_file
 def test_the_commands_find_every_file_right(path: Path) -> None:
     done = camber(path.stem, "--config", path, "--check")
     assert (done.returncode, done.stderr) == (0, f"camber {path.stem}: settings are right\n")
 
 
-@pytest.mark.parametrize(
-    "path", sorted(CONFIG.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
-)
-def test_what_stands_there_as_a_comment_is_right_too(path: Path, tmp_path: Path) -> None:
+@of_each_file
+def test_what_stands_there_as_a_comment_is_right_too(path: Path) -> None:
     """Each setting that is commented out, by itself, is one that there is."""
     cls = importlib.import_module(f"camber.{path.stem}.service").SERVICE.SETTINGS
     table = ""
@@ -107,13 +105,7 @@ def test_the_demo_knows_the_vehicle_that_it_drives(tmp_path: Path) -> None:
 
 
 def requirements(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        str(ROOT / "deploy" / "requirements.py"),
-        str(ROOT / "pyproject.toml"),
-        *arguments,
-    ]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return python(ROOT / "deploy" / "requirements.py", ROOT / "pyproject.toml", *arguments)
 
 
 def test_an_image_gets_the_requirements_of_its_kind_and_extras() -> None:
@@ -160,8 +152,7 @@ def test_pip_takes_the_settings_of_the_images_as_they_are_meant() -> None:
     )
     environ = {name: text for name, text in os.environ.items() if not name.startswith("PIP_")}
     environ |= {**dict(settings), "PIP_CONFIG_FILE": os.devnull}
-    command = [sys.executable, "-c", ask]
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
+    done = python("-c", ask, env=environ)
     assert done.stdout.strip() == "False False ['/src/constraints.txt']"
     assert dict(settings)["PIP_BUILD_CONSTRAINT"] == "/src/constraints.txt"
 

@@ -6,7 +6,8 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache, partial, reduce
+from operator import xor
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -130,18 +131,12 @@ def _solutions(random: Random) -> list[ReceiverSolution]:
 
 
 def _nmea(random: Random) -> list[list[bytes]]:
-    def sentences() -> list[bytes]:
-        encode = (format_rmc, partial(format_gga, geoid_separation_m=37.5), format_gst)
-        return [sentence(solution)[1:-5] for solution in _solutions(random) for sentence in encode]
-
-    return [sentences() for _ in range(8)]
+    kinds = (format_rmc, partial(format_gga, geoid_separation_m=37.5), format_gst)
+    return [[kind(one)[1:-5] for one in _solutions(random) for kind in kinds] for _ in range(8)]
 
 
 def _nmea_sentence(content: bytes) -> bytes:
-    checksum = 0
-    for byte in content:
-        checksum ^= byte
-    return b"$%b*%02X\r\n" % (content, checksum)
+    return b"$%b*%02X\r\n" % (content, reduce(xor, content, 0))
 
 
 def _ubx(random: Random) -> list[list[bytes]]:
@@ -353,10 +348,8 @@ def _newer_blobs(random: Random) -> list[bytes]:
 
 def _packed(random: Random) -> list[list[bytes]]:
     newer = _newer_blobs(random)
-    return [[compress_blob(blob, _older_blob())] for blob in newer] + [
-        [compress_blob(newer[0])],
-        [compress_blob(b"other", b"others")],
-    ]
+    differences = [compress_blob(blob, _older_blob()) for blob in newer]
+    return [[blob] for blob in (*differences, compress_blob(newer[0]), compress_blob(b"other", b"others"))]
 
 
 def _packed_numbers(random: Random) -> list[list[bytes]]:
@@ -425,38 +418,23 @@ def _queue_answers(_: Random) -> list[list[bytes]]:
 
 
 def _pcap(random: Random) -> list[list[bytes]]:
-    def frames() -> list[bytes]:
-        return [
-            pcap_frames(
-                Datagram(
-                    time_ns=START_NS + k,
-                    source="10.0.0.7",
-                    port=2368,
-                    payload=random.randbytes(random.choice((9, 1206, 4000))),
-                ),
-                "10.0.0.1",
-                k,
-            )
-            for k in range(6)
-        ]
+    def frames(k: int) -> bytes:
+        payload = random.randbytes(random.choice((9, 1206, 4000)))
+        datagram = Datagram(time_ns=START_NS + k, source="10.0.0.7", port=2368, payload=payload)
+        return pcap_frames(datagram, "10.0.0.1", k)
 
-    return [[pcap_header(), *frames()] for _ in range(4)]
+    return [[pcap_header(), *map(frames, range(6))] for _ in range(4)]
 
 
 def _candump(random: Random) -> list[list[bytes]]:
-    def line() -> str:
-        size = random.choice((0, 3, 8, 64))
+    def line() -> bytes:
+        data, identifier = random.randbytes(random.choice((0, 3, 8, 64))), random.randrange(1 << 11)
         extended = random.random() < 0.5
-        frame = CanFrame(
-            time_ns=START_NS,
-            bus="can0",
-            identifier=random.randrange(1 << 11),
-            extended=extended,
-            data=random.randbytes(size),
-        )
-        return candump_text([frame])
+        return candump_text(
+            [CanFrame(time_ns=START_NS, bus="can0", identifier=identifier, extended=extended, data=data)]
+        ).encode()
 
-    return [[line().encode() for _ in range(12)] for _ in range(4)]
+    return [[line() for _ in range(12)] for _ in range(4)]
 
 
 def _dbc(_: Random) -> list[list[bytes]]:
@@ -490,13 +468,15 @@ def _sweeps(kind: str) -> tuple[Sweep, ...]:
     )
 
 
-def _lidar_packets(kind: str) -> list[tuple[int, bytes]]:
-    return list((velodyne_packets if kind == "velodyne" else ouster_packets)(_sweeps(kind)))
-
-
 def _packets(kind: str) -> Callable[[Random], list[list[bytes]]]:
     """Each before it has its length."""
-    return lambda _: [[payload for _, payload in _lidar_packets(kind)[k : k + 6]] for k in (0, 20, 60)]
+
+    def made(_: Random) -> list[list[bytes]]:
+        packets = velodyne_packets if kind == "velodyne" else ouster_packets
+        payloads = [payload for _, payload in packets(_sweeps(kind))]
+        return [payloads[k : k + 6] for k in (0, 20, 60)]
+
+    return made
 
 
 def _with_length(content: bytes) -> bytes:

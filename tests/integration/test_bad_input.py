@@ -18,7 +18,7 @@ from camber.road_map.release import write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.schemas.drive import Surrogates
 from support import small_map
-from support.running import Drive, camber, drive_s, in_one_process, recorded, summary_of
+from support.running import Drive, camber, drive_s, in_one_process, recorded, replayed, summary_of
 
 END_S = 48.0
 
@@ -39,19 +39,7 @@ def drive(clean, tmp_path) -> Path:
 
 def run(drive: Path, out: Path, end_s: float) -> Path:
     """By real processes: where it matters what stands in a service's log."""
-    done = camber(
-        "replay",
-        drive / "drive.toml",
-        "--processes",
-        "--out",
-        out,
-        "--quiet",
-        "--set",
-        f"end_s={end_s}",
-        timeout_s=120.0,
-    )
-    assert done.returncode == 0, done.stderr
-    return out
+    return replayed(drive / "drive.toml", out, "--processes", "--set", f"end_s={end_s}")
 
 
 def driven(drive: Path, folder: Path, *overrides: str, end_s: float = END_S) -> Drive:
@@ -158,16 +146,8 @@ def _with_field(line: bytes, place: int, value: bytes) -> bytes:
 
 @pytest.mark.parametrize("mode", [(), ("--processes",)], ids=["one process", "processes"])
 def test_a_value_that_a_service_refuses_is_its_one_line_at_once(drive, tmp_path, mode):
-    done = camber(
-        "replay",
-        drive / "drive.toml",
-        *mode,
-        "--out",
-        tmp_path / "out",
-        "--set",
-        "antenna_height.sigma_m=5.0",
-        timeout_s=120.0,
-    )
+    wrong = ("--set", "antenna_height.sigma_m=5.0")
+    done = camber("replay", drive / "drive.toml", *mode, "--out", tmp_path / "out", *wrong, timeout_s=120.0)
     assert done.returncode == 2
     line = done.stderr.splitlines()[-1]
     assert "antenna_height" in line
@@ -220,40 +200,26 @@ def test_a_release_of_another_datum_is_not_compared_with(drive, tmp_path):
     assert any("WGS84" in issue.text for issue in output.issues if issue.service == "map_server")
 
 
-def stacked(surfaces: RoadSurfaces, links: RoadLinks, by_m: float) -> tuple[RoadSurfaces, RoadLinks]:
+RAISED = {"level": 1, **dict.fromkeys(("surface_id", "link_id", "start_node", "end_node"), 1_000_000)}
+"""What is added to the columns of a road on the level above."""
+
+
+def stacked(columns: RoadSurfaces | RoadLinks, by_m: float) -> Any:
     """Every road once more on a level above itself, with links of its own that nothing connects to the first."""
-
-    def twice(column, other):
-        return [*column, *other]
-
-    up = 1_000_000
-    return (
-        RoadSurfaces(
-            **{name: twice(value, value) for name, value in vars(surfaces).items()}
-            | {
-                "surface_id": twice(surfaces.surface_id, surfaces.surface_id + up),
-                "link_id": twice(surfaces.link_id, surfaces.link_id + up),
-                "level": twice(surfaces.level, surfaces.level + 1),
-                "heights_m": twice(surfaces.heights_m, [grid + by_m for grid in surfaces.heights_m]),
-            }
-        ),
-        RoadLinks(
-            **{name: twice(value, value) for name, value in vars(links).items()}
-            | {
-                "link_id": twice(links.link_id, links.link_id + up),
-                "start_node": twice(links.start_node, links.start_node + up),
-                "end_node": twice(links.end_node, links.end_node + up),
-                "level": twice(links.level, links.level + 1),
-            }
-        ),
-    )
+    raised = {name: value + RAISED[name] for name, value in vars(columns).items() if name in RAISED}
+    if isinstance(columns, RoadSurfaces):
+        raised["heights_m"] = [grid + by_m for grid in columns.heights_m]
+    twice = {name: [*value, *raised.get(name, value)] for name, value in vars(columns).items()}
+    return type(columns)(**twice)
 
 
 def test_where_two_levels_are_possible_neither_is_guessed(drive, tmp_path):
     """The heights of the fixes must not select the road level: they are what is under test."""
     shutil.rmtree(drive / "map")
     errors = Surrogates(seed=1)
-    surfaces, links = stacked(*make_map(short_drive_truth(), errors, ANTENNA_HEIGHT_M), by_m=6.0)
+    surfaces, links = (
+        stacked(columns, 6.0) for columns in make_map(short_drive_truth(), errors, ANTENNA_HEIGHT_M)
+    )
     write_release(
         drive / "map",
         region="two-levels",
@@ -281,12 +247,9 @@ def test_a_damaged_tile_makes_the_road_unknown_and_is_named(drive, tmp_path):
 
 def test_motion_that_says_nothing_for_a_while_leaves_nothing_confirmed_on_an_old_pose(drive, tmp_path):
     path = drive / "motion.csv"
-    kept = [
-        line
-        for line in path.read_text().splitlines(keepends=True)
-        if not line[:1].isdigit() or not 36.0 <= drive_s(int(line.split(",")[0])) < 42.0
-    ]
-    path.write_text("".join(kept))
+    head, *rows = path.read_text().splitlines(keepends=True)
+    kept = [row for row in rows if not 36.0 <= drive_s(int(row.split(",")[0])) < 42.0]
+    path.write_text(head + "".join(kept))
     replayed = driven(drive, tmp_path)
     output = verdict_by_time(replayed.recorded)
     inside = {verdict for time_s, verdict in output.items() if 36.4 <= time_s < 42.0}

@@ -6,7 +6,6 @@ import json
 import math
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 from camber.cli import main
 from camber.replay.short_drive import write_short_drive
 from support import small_map
-from support.running import environment
+from support.running import python
 from support.tree import ROOT
 
 # About five and three times the largest errors of thirty seeds with both displacements below: 0.001 m and 0.006°.
@@ -25,14 +24,7 @@ YAW_TOLERANCE_DEG = 0.02
 
 def run_example(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run an example as a user does, to its end."""
-    return subprocess.run(
-        [sys.executable, ROOT / "examples" / name, *map(str, arguments)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120.0,
-        check=False,
-    )
+    return python(ROOT / "examples" / name, *arguments, timeout_s=120.0)
 
 
 def printed_lines(name: str, *arguments: object) -> list[str]:

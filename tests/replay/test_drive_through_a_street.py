@@ -14,7 +14,7 @@ from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_lin
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.localizer.warm_up import synthetic_street, synthetic_tile
 from camber.road_map.release import write_release
-from support.running import camber, payloads, recorded
+from support.running import payloads, recorded, replayed
 from support.small_map import DAY_NS, link, links, surface, surfaces
 from support.street_drive import FRAME, START_NS, StreetDrive, geodetic
 
@@ -94,12 +94,6 @@ yaw_sigma_deg = 1.0
 @pytest.fixture(scope="module")
 def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_drive(tmp_path_factory.mktemp("street"))
-
-
-def replayed(manifest: Path, out: Path, *more: str) -> Path:
-    done = camber("replay", manifest, "--out", out, *more, timeout_s=180.0)
-    assert done.returncode == 0, done.stderr
-    return out
 
 
 @pytest.fixture(scope="module")

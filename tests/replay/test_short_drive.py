@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 
 from camber.replay.short_drive import write_short_drive
-from support.running import Drive, assert_same_messages, camber, figures, in_one_process, payloads, summary_of
+from support.running import (
+    Drive,
+    assert_same_messages,
+    figures,
+    in_one_process,
+    payloads,
+    replayed,
+    summary_of,
+)
 
 SPEEDS = ("max", "20")
 SEEDS = (1, 2, 3)
@@ -22,20 +30,8 @@ def manifest(tmp_path_factory) -> Path:
 def outs(manifest, tmp_path_factory) -> dict[str, Path]:
     """By speed, what the real processes leave of the first seed's drive."""
     folder = tmp_path_factory.mktemp("replayed")
-    for speed in SPEEDS:
-        done = camber(
-            "replay",
-            manifest,
-            "--processes",
-            "--speed",
-            speed,
-            "--out",
-            folder / speed,
-            "--quiet",
-            timeout_s=120.0,
-        )
-        assert done.returncode == 0, done.stderr
-    return {speed: folder / speed for speed in SPEEDS}
+    options = ("--processes", "--speed")
+    return {speed: replayed(manifest, folder / speed, *options, speed) for speed in SPEEDS}
 
 
 @pytest.fixture(scope="module")

@@ -201,6 +201,13 @@ def health_of(endpoint: str, service: str, vehicle: str = "car", *, timeout_s: f
     return query_once(client_of(endpoint, vehicle), "health", request, service=service, timeout_s=timeout_s)
 
 
+def replayed(manifest: Path, out: Path, *more: object, timeout_s: float = 150.0) -> Path:
+    """The folder that a replay leaves."""
+    done = camber("replay", manifest, "--out", out, "--quiet", *more, timeout_s=timeout_s)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
 def replaying(
     manifest: Path, out: Path, end_s: float, speed: object, *more: object
 ) -> AbstractContextManager[subprocess.Popen[str]]:
