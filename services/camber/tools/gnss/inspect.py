@@ -25,14 +25,9 @@ from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.gnss import ReceiverIntegrity
+from camber.tools.gnss import recording_summary
 from camber.tools.gnss.inspect_text import text_of
 from camber.tools.gnss.recording_file import Item, RecordingFile
-from camber.tools.gnss.recording_summary import (
-    EphemerisSummary,
-    ObservationSummary,
-    PositionSummary,
-    StatementSummary,
-)
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber gnss inspect"
@@ -105,12 +100,12 @@ class _RecordingContent:
     def __init__(self) -> None:
         self.problems: list[FormatError] = []
         self._problem_count = 0
-        self._observed: dict[str, ObservationSummary] = {}
+        self._observed: dict[str, recording_summary.ObservationSummary] = {}
         self._stations: Counter[ReferenceStation] = Counter()
-        self._ephemerides = EphemerisSummary()
+        self._ephemerides = recording_summary.EphemerisSummary()
         self._ionosphere: set[str] = set()
-        self._positions = PositionSummary()
-        self._statements = StatementSummary()
+        self._positions = recording_summary.PositionSummary()
+        self._statements = recording_summary.StatementSummary()
         self._baselines = 0
         self._left_out = 0
 
@@ -151,7 +146,7 @@ class _RecordingContent:
         if source not in self._observed and len(self._observed) == _MOST_STATIONS:
             self._left_out += 1
             return
-        self._observed.setdefault(source, ObservationSummary()).add(epoch)
+        self._observed.setdefault(source, recording_summary.ObservationSummary()).add(epoch)
 
     def report(self) -> dict[str, Any]:
         """Return the parts of the report that are derived from the items."""

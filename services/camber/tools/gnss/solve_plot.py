@@ -12,24 +12,12 @@ from numpy.typing import NDArray
 from camber.formats.observations import Floats, Integers
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.gnss.recording_summary import time_text
-from camber.validation.plots import (
-    AMBER,
-    PALE,
-    PRIMARY,
-    RED,
-    draw_dots,
-    draw_key,
-    equal_limits,
-    plot_style,
-    range_limits,
-    track_and_strips,
-    use_log_scale,
-)
+from camber.validation import plots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_COLOURS = {"single": PALE, "float": AMBER, "fixed": PRIMARY}
+_COLOURS = {"single": plots.PALE, "float": plots.AMBER, "fixed": plots.PRIMARY}
 """In drawing order: the most important class last."""
 _LARGEST_RATIO = 1000.0  # end of the axis; larger ratios are drawn there
 
@@ -64,26 +52,26 @@ def solution_figure(name: str, solved: SolvedDrive, geodetic: Floats, least_rati
     # Positions good to decimetres set the scale where there are any, not those good to metres.
     precise = (quality == "fixed") | (quality == "float")
     leading = precise if precise.any() else quality != "none"
-    with plot_style():
-        figure, track, (heights, counts, ratios) = track_and_strips(name, 3)
-        equal_limits(track, east_north_m[leading])
+    with plots.plot_style():
+        figure, track, (heights, counts, ratios) = plots.track_and_strips(name, 3)
+        plots.equal_limits(track, east_north_m[leading])
         track.set_title("north over east of the first position [m]")
         number = {key: int((quality == key).sum()) for key in ("none", *_COLOURS)}
-        draw_key(track, {f"{n:,} {key}": _COLOURS.get(key, "none") for key, n in number.items()})
-        heights.set(title="height above the ellipsoid [m]", ylim=range_limits(height_m[leading], 0.5))
+        plots.draw_key(track, {f"{n:,} {key}": _COLOURS.get(key, "none") for key, n in number.items()})
+        heights.set(title="height above the ellipsoid [m]", ylim=plots.range_limits(height_m[leading], 0.5))
         counts.set(
             title="satellites in the position", ylim=(0.0, 1.1 * max(solved.satellites.max(initial=0), 10))
         )
         ratios.set(title="ratio of the ambiguity test")
-        use_log_scale(ratios.yaxis, 1.0, _LARGEST_RATIO)
-        ratios.axhline(least_ratio, color=RED, ls="--")
+        plots.use_log_scale(ratios.yaxis, 1.0, _LARGEST_RATIO)
+        ratios.axhline(least_ratio, color=plots.RED, ls="--")
         ratios.set(xlim=(0.0, max(float(since_s.max()), 1.0)))
         ratios.set_xlabel(f"seconds since {time_text(int(time_ns.min()))} GPS time")
         counted = np.where(quality == "none", np.nan, solved.satellites)
-        draw_dots(track, east_north_m[:, 0], east_north_m[:, 1], classes=quality, colours=_COLOURS)
+        plots.draw_dots(track, east_north_m[:, 0], east_north_m[:, 1], classes=quality, colours=_COLOURS)
         drawn_ratios = np.clip(solved.ratio, 1.0, _LARGEST_RATIO)
         for axes, values in ((heights, height_m), (counts, counted), (ratios, drawn_ratios)):
-            draw_dots(axes, since_s, values, classes=quality, colours=_COLOURS)
+            plots.draw_dots(axes, since_s, values, classes=quality, colours=_COLOURS)
     return figure
 
 

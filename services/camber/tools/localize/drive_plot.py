@@ -16,37 +16,23 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import Release
 from camber.tools.gnss.recording_summary import time_text
 from camber.tools.localize.map_drawing import draw_map
+from camber.validation import plots
 from camber.validation.localization_columns import INSIDE_PROBABILITY, MatchColumns, PoseColumns, PoseErrors
-from camber.validation.plots import (
-    AMBER,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    PRIMARY,
-    PURPLE,
-    RED,
-    draw_dots,
-    draw_key,
-    draw_lines,
-    equal_limits,
-    plot_style,
-    range_limits,
-    track_and_strips,
-    use_log_scale,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MODES = {
-    "none": PALE, "provisional": AMBER, "dead_reckoning": ORANGE, "anchored": GREEN, "scan_match": PRIMARY,
-}  # fmt: skip
+    "none": plots.PALE,
+    "provisional": plots.AMBER,
+    "dead_reckoning": plots.ORANGE,
+    "anchored": plots.GREEN,
+    "scan_match": plots.PRIMARY,
+}
 """In drawing order: the most important mode last."""
-STATUS = {"lost": RED, "ambiguous": AMBER, "converged": PRIMARY}
-_LAYERS = (PRIMARY, GREEN, AMBER, ORANGE, PURPLE, RED)
+STATUS = {"lost": plots.RED, "ambiguous": plots.AMBER, "converged": plots.PRIMARY}
+_LAYERS = (plots.PRIMARY, plots.GREEN, plots.AMBER, plots.ORANGE, plots.PURPLE, plots.RED)
 _ELLIPSES = 40  # chosen: more of them overlap on a page
 _LARGE_QUANTILE, _LARGE_ELLIPSE_SHARE = 0.95, 0.1
 """A large ellipse (this quantile of their radii) is enlarged to at most this share of the track's size; by eye."""
@@ -69,19 +55,19 @@ def drive_figure(
     position_m = _plane(frame, poses.latitude_rad, poses.longitude_rad)
     scale = _ellipse_scale(poses, position_m)
     counts = Counter(poses.mode.tolist())
-    with plot_style():
-        figure, track, strips = track_and_strips(name, 4)
-        equal_limits(track, position_m[known])
+    with plots.plot_style():
+        figure, track, strips = plots.track_and_strips(name, 4)
+        plots.equal_limits(track, position_m[known])
         enlarged = "" if scale == 1.0 else f", drawn {scale:g} times as large"
         track.set_title(f"north over east of the first position [m]; 99 % ellipses{enlarged}")
-        draw_key(
+        plots.draw_key(
             track, {f"{counts[mode]:,} {mode}": colour for mode, colour in MODES.items() if counts[mode]}
         )
         draw_map(track, release, frame)
         if truth is not None:
-            track.plot(*_plane(frame, truth.latitude_rad, truth.longitude_rad).T, color=INK, lw=0.8)
-        draw_lines(track, _ellipses(poses, position_m, scale), GREY, 0.7)
-        draw_dots(track, position_m[:, 0], position_m[:, 1], classes=poses.mode, colours=MODES)
+            track.plot(*_plane(frame, truth.latitude_rad, truth.longitude_rad).T, color=plots.INK, lw=0.8)
+        plots.draw_lines(track, _ellipses(poses, position_m, scale), plots.GREY, 0.7)
+        plots.draw_dots(track, position_m[:, 0], position_m[:, 1], classes=poses.mode, colours=MODES)
         _draw_position(strips[0], poses, errors)
         _draw_heading(strips[1], poses, errors)
         _draw_layers(strips[2], poses, matches)
@@ -94,12 +80,12 @@ def drive_figure(
 def _draw_position(axes: Axes, poses: PoseColumns, errors: PoseErrors | None) -> None:
     title = "99 % radius (line)" if errors is None else "horizontal error, and the 99 % radius as a line"
     axes.set_title(f"{title} [m]")
-    use_log_scale(axes.yaxis, *_ERROR_LIMITS_M)
+    plots.use_log_scale(axes.yaxis, *_ERROR_LIMITS_M)
     since_s = _since_s(poses.time_ns, poses)
-    axes.plot(since_s, np.clip(poses.radius_m, *_ERROR_LIMITS_M), color=GREY)
+    axes.plot(since_s, np.clip(poses.radius_m, *_ERROR_LIMITS_M), color=plots.GREY)
     if errors is not None:
         horizontal_m = np.clip(errors.horizontal_m, *_ERROR_LIMITS_M)
-        draw_dots(axes, since_s, horizontal_m, classes=poses.mode, colours=MODES)
+        plots.draw_dots(axes, since_s, horizontal_m, classes=poses.mode, colours=MODES)
 
 
 def _draw_heading(axes: Axes, poses: PoseColumns, errors: PoseErrors | None) -> None:
@@ -114,32 +100,33 @@ def _draw_heading(axes: Axes, poses: PoseColumns, errors: PoseErrors | None) -> 
     axes.set_ylim(-limit, limit)
     since_s = _since_s(poses.time_ns, poses)
     for sign in (-1.0, 1.0):
-        axes.plot(since_s, sign * three_sigma_deg, color=GREY)
+        axes.plot(since_s, sign * three_sigma_deg, color=plots.GREY)
     if errors is not None:
-        draw_dots(axes, since_s, error_deg, classes=poses.mode, colours=MODES)
+        plots.draw_dots(axes, since_s, error_deg, classes=poses.mode, colours=MODES)
 
 
 def _draw_layers(axes: Axes, poses: PoseColumns, matches: MatchColumns) -> None:
     distance_m = matches.layer_mean_distance_m
     finite = distance_m[np.isfinite(distance_m)]
     axes.set(
-        title="mean distance by layer [m]", ylim=(0.0, range_limits(finite, 0.1)[1] if finite.size else 0.5)
+        title="mean distance by layer [m]",
+        ylim=(0.0, plots.range_limits(finite, 0.1)[1] if finite.size else 0.5),
     )
     names = [f"layer {number + 1}" for number in range(distance_m.shape[1])]  # from the lowest up
     colours = {name: _LAYERS[number % len(_LAYERS)] for number, name in enumerate(names)}
-    draw_key(axes, colours)
+    plots.draw_key(axes, colours)
     since_s = _since_s(matches.time_ns, poses)
     for number, name in enumerate(names):
-        draw_dots(
+        plots.draw_dots(
             axes, since_s, distance_m[:, number], classes=np.full(len(since_s), name), colours={name: colours[name]}
         )  # fmt: skip
 
 
 def _draw_overlap(axes: Axes, poses: PoseColumns, matches: MatchColumns) -> None:
     axes.set(title="overlap of the match; 0 where none is given", ylim=(-0.05, 1.05))
-    draw_key(axes, STATUS)
+    plots.draw_key(axes, STATUS)
     overlap = np.where(np.isnan(matches.overlap), 0.0, matches.overlap)
-    draw_dots(axes, _since_s(matches.time_ns, poses), overlap, classes=matches.status, colours=STATUS)
+    plots.draw_dots(axes, _since_s(matches.time_ns, poses), overlap, classes=matches.status, colours=STATUS)
 
 
 def _since_s(time_ns: Integers, poses: PoseColumns) -> Floats:

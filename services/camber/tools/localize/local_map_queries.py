@@ -6,14 +6,7 @@ from pathlib import Path
 
 from camber.map_server.release_queries import ReleaseQueries
 from camber.road_map.release import ROOT_NAME, Release, ReleaseError, read_release
-from camber.schemas.road import (
-    ElevationReply,
-    ElevationRequest,
-    LinksReply,
-    LinksRequest,
-    TileReply,
-    TileRequest,
-)
+from camber.schemas import road
 
 
 class LocalMapQueries:
@@ -22,15 +15,15 @@ class LocalMapQueries:
     def __init__(self, release: Release) -> None:
         self._answers = ReleaseQueries(release)
 
-    def elevation(self, request: ElevationRequest) -> ElevationReply:
+    def elevation(self, request: road.ElevationRequest) -> road.ElevationReply:
         """The road under a point."""
         return self._answers.elevation(request, time_ns=request.time_ns)
 
-    def links(self, request: LinksRequest) -> LinksReply:
+    def links(self, request: road.LinksRequest) -> road.LinksReply:
         """The links around a point."""
         return self._answers.links(request, time_ns=request.time_ns)
 
-    def tile(self, request: TileRequest) -> TileReply:
+    def tile(self, request: road.TileRequest) -> road.TileReply:
         """A part of a tile."""
         return self._answers.tile(request, time_ns=request.time_ns)
 

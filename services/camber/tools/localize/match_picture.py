@@ -14,19 +14,7 @@ from numpy.typing import NDArray
 from camber.formats.observations import Floats
 from camber.localizer.matching.match_view import MatchView
 from camber.tools.gnss.recording_summary import time_text
-from camber.validation.plots import (
-    AMBER,
-    GREEN,
-    INK,
-    ORANGE,
-    PRIMARY,
-    PURPLE,
-    RED,
-    draw_key,
-    equal_limits,
-    plot_style,
-    stacked_panels,
-)
+from camber.validation import plots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +26,10 @@ _EXTENT_M = 40.0  # around the vehicle; chosen: a match rests on points about as
 _STRIP_M = 15.0  # to each side of the vehicle, shown from the side; chosen: the width of a street
 _ARROW_M = 2.5  # half the length of the vehicle's arrow: about a car
 _HEIGHTS_M = (-0.5, 6.0)  # includes every layer's bounds
-_MAP, _NO_PARTNER, _NO_LAYER = "#cbd1d9", PURPLE, "#969eaa"
-_SCALE = (PRIMARY, GREEN, "#f2c14e", ORANGE, RED)
+_MAP, _NO_PARTNER, _NO_LAYER = "#cbd1d9", plots.PURPLE, "#969eaa"
+_SCALE = (plots.PRIMARY, plots.GREEN, "#f2c14e", plots.ORANGE, plots.RED)
 """Colours of residuals from zero to `FULL_SCALE_M`, evenly spaced."""
-_STATUS = {"converged": PRIMARY, "ambiguous": AMBER, "lost": RED}
+_STATUS = {"converged": plots.PRIMARY, "ambiguous": plots.AMBER, "lost": plots.RED}
 _COLUMN_WIDTHS = (0.16, 0.1, 0.18, 0.11, 0.14, 0.15, 0.16)
 _COLUMNS = ("layer", "points", "mean distance", "overlap", "on a plane", "residual / σ", "outcome")
 _ROW_IN = 0.2  # chosen: a line of small text
@@ -56,18 +44,18 @@ def match_figure(name: str, view: MatchView, *, start_ns: int) -> Figure:
     map_m, points_m = view.map_m[:, :2] - position_m, view.points_m[:, :2] - position_m
     map_near, points_near = np.abs(map_m @ left) < _STRIP_M, np.abs(points_m @ left) < _STRIP_M
     rows = len(view.match.layers)
-    with plot_style():
-        figure, (above, side) = stacked_panels(
+    with plots.plot_style():
+        figure, (above, side) = plots.stacked_panels(
             f"{name}: scan match at {(view.time_ns - start_ns) * 1e-9:.1f} s",
             [6.0, 2.2],
             _ROW_IN * rows + 0.9,
         )
         above.set_title("from above: north over east of the map block's centre [m]")
-        draw_key(above, {_outcome(view): _STATUS[view.match.status]})
-        equal_limits(above, position_m + _EXTENT_M * np.array([(-1.0, -1.0), (1.0, 1.0)]))
+        plots.draw_key(above, {_outcome(view): _STATUS[view.match.status]})
+        plots.equal_limits(above, position_m + _EXTENT_M * np.array([(-1.0, -1.0), (1.0, 1.0)]))
         _draw_points(above, view.map_m[:, 0], view.map_m[:, 1], _MAP)
         _draw_residuals(above, view, (view.points_m[:, 0], view.points_m[:, 1]), view.layer >= 0)
-        arrow = {"arrowstyle": "-|>", "color": INK, "mutation_scale": 20}
+        arrow = {"arrowstyle": "-|>", "color": plots.INK, "mutation_scale": 20}
         tip, tail = (tuple((position_m + sign * _ARROW_M * ahead).tolist()) for sign in (1.0, -1.0))
         above.annotate("", tip, tail, arrowprops=arrow)
         side.set_title(
@@ -78,7 +66,7 @@ def match_figure(name: str, view: MatchView, *, start_ns: int) -> Figure:
         _draw_points(side, (map_m @ ahead)[map_near], view.map_heights_m[map_near], _MAP)
         _draw_residuals(side, view, (points_m @ ahead, view.heights_m), points_near)
         for height_m in sorted({bound for row in view.match.layers for bound in row.bounds_m}):
-            side.axhline(height_m, color=RED, ls="--", lw=0.8)
+            side.axhline(height_m, color=plots.RED, ls="--", lw=0.8)
         side.set_xlabel(f"{time_text(view.time_ns)} GPS time", loc="right")
         _draw_table(figure, view)
         _draw_scale(figure)
@@ -157,4 +145,4 @@ def _draw_scale(figure: Figure) -> None:
     figure.colorbar(
         colours, cax=bar, orientation="horizontal", extend="max", label="distance from the map's plane [m]"
     )
-    draw_key(bar, {"no map near": _NO_PARTNER, "in no layer": _NO_LAYER, "map": _MAP})
+    plots.draw_key(bar, {"no map near": _NO_PARTNER, "in no layer": _NO_LAYER, "map": _MAP})

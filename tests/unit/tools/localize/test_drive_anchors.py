@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from camber.formats.drive.truth_csv import FIX_STATES
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import ManifestError, load_manifest
 from camber.tools.localize.drive_anchors import anchors_of, receiver_fixes
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> DriveInputs:
-    folder = tmp_path_factory.mktemp("drive")
-    return prepare_drive(load_manifest(write_short_drive(folder / "drive", 1)), folder / "work")
+def inputs(blind: Path, tmp_path_factory: pytest.TempPathFactory) -> DriveInputs:
+    return prepare_drive(load_manifest(blind), tmp_path_factory.mktemp("work"))
 
 
 def test_the_receivers_fixes_come_in_the_order_of_time_each_once(inputs: DriveInputs) -> None:

@@ -37,13 +37,8 @@ _START_NS = 1_500_000_000 * _NS
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_short_drive(tmp_path_factory.mktemp("drive"))
-
-
-@pytest.fixture(scope="module")
-def epochs(drive: Path) -> tuple[Epoch, ...]:
-    return epochs_of(prepare_drive(load_manifest(drive), drive.parent))
+def epochs(blind: Path) -> tuple[Epoch, ...]:
+    return epochs_of(prepare_drive(load_manifest(blind), blind.parent))
 
 
 def motions(epochs: Any) -> list[Motion]:
@@ -75,10 +70,10 @@ class FakeStop(threading.Event):
         return self.is_set()
 
 
-def test_every_solution_and_every_sample_of_the_drive_is_fed(drive: Path, epochs: tuple[Epoch, ...]) -> None:
-    native = [item for item in read_pos(drive.parent / "receiver.pos") if isinstance(item, ReceiverSolution)]
+def test_every_solution_and_every_sample_of_the_drive_is_fed(blind: Path, epochs: tuple[Epoch, ...]) -> None:
+    native = [item for item in read_pos(blind.parent / "receiver.pos") if isinstance(item, ReceiverSolution)]
     assert [solution for epoch in epochs for solution in epoch.solutions] == native
-    assert len(motions(epochs)) == len((drive.parent / "motion.csv").read_text().splitlines()) - 1
+    assert len(motions(epochs)) == len((blind.parent / "motion.csv").read_text().splitlines()) - 1
 
 
 def test_each_message_can_be_decoded_alone_and_equals_the_solution(epochs: tuple[Epoch, ...]) -> None:
@@ -178,8 +173,8 @@ def test_it_stops_on_request(epochs: tuple[Epoch, ...]) -> None:
     assert bus.sent == []
 
 
-def test_nmea_sentences_are_fed_in_their_epoch(drive: Path, tmp_path: Path) -> None:
-    items = read_pos(drive.parent / "receiver.pos")
+def test_nmea_sentences_are_fed_in_their_epoch(blind: Path, tmp_path: Path) -> None:
+    items = read_pos(blind.parent / "receiver.pos")
     native = [item for item in items if isinstance(item, ReceiverSolution)][:40]
     sentences = [format_rmc(s) + format_gst(s) + format_gga(s, geoid_separation_m=37.0) for s in native]
     (tmp_path / "receiver.nmea").write_bytes(b"".join(sentences))
@@ -200,11 +195,11 @@ SWEEP_NS = 100_000_000
 
 
 @pytest.fixture
-def swept(drive: Path, tmp_path: Path) -> tuple[Epoch, ...]:
+def swept(blind: Path, tmp_path: Path) -> tuple[Epoch, ...]:
     """The short drive's first 50 epochs, with sweeps of three points that end 0.3, 0.4, 0.5 s after its start."""
     write_short_drive(tmp_path)
     (tmp_path / "sweeps").mkdir()
-    start_ns = epochs_of(prepare_drive(load_manifest(drive), tmp_path))[0].time_ns
+    start_ns = epochs_of(prepare_drive(load_manifest(blind), tmp_path))[0].time_ns
     for k in (3, 4, 5):
         points = np.arange(9, dtype=np.float32).reshape(3, 3) + k
         offset_ns = np.array([1 - SWEEP_NS, -SWEEP_NS // 4, 0], np.int32)
@@ -274,14 +269,14 @@ def test_the_map_of_the_drive_stays_as_it_is(tmp_path: Path, monkeypatch: pytest
 
 
 def test_where_nothing_can_be_written_it_is_one_line_and_code_2(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+    blind: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", "/proc/nowhere")
-    assert refused(feed.main, drive).startswith("camber feed: /proc/nowhere/")
+    assert refused(feed.main, blind).startswith("camber feed: /proc/nowhere/")
 
 
-def test_what_is_no_endpoint_is_not_waited_for(drive: Path, refused: Refused) -> None:
-    line = refused(feed.main, drive, "--connect", "127.0.0.1:7447", code=3)
+def test_what_is_no_endpoint_is_not_waited_for(blind: Path, refused: Refused) -> None:
+    line = refused(feed.main, blind, "--connect", "127.0.0.1:7447", code=3)
     assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in line
 
 
@@ -289,9 +284,9 @@ def test_what_is_no_endpoint_is_not_waited_for(drive: Path, refused: Refused) ->
     ("expected", "named"), [(["--vehicle", "a b"], "vehicle:"), (["--connect", "tls/router:7447"], "tls_ca")]
 )
 def test_wrong_settings_of_the_bus_are_one_line_and_code_2(
-    drive: Path, expected: list[str], named: str, refused: Refused
+    blind: Path, expected: list[str], named: str, refused: Refused
 ) -> None:
-    assert named in refused(feed.main, drive, *expected)
+    assert named in refused(feed.main, blind, *expected)
 
 
 def test_a_router_that_is_not_there_is_asked_for_in_peace(

@@ -24,14 +24,8 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import map_from_vehicle, transform_points
 from camber.replay.truth_interpolation import interpolate_truth
 from camber.road_map.cloud_tiles import cloud_tiles, first_of_voxels
+from camber.tools.maps.importers import ground_points
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.ground_points import (
-    NO_ROAD,
-    GroundHeights,
-    levels_of_ground,
-    open3d,
-    thinned,
-)
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.importers.rasters import horizontal_and_vertical, to_horizontal
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, surfaces_along
@@ -69,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces where the road's points are, and two clouds: the road's, and all else."""
-    open3d()  # before minutes of reading
+    ground_points.open3d()  # before minutes of reading
     poses = Poses.read(args)
     roads = drive_roads(poses.track(args.above_road_m), str(args.poses), args.width_m, _REACH_M)
     vertical: VerticalDatum | None = None
@@ -77,13 +71,13 @@ def build(args: argparse.Namespace) -> BuiltMap:
     for number, path in enumerate(files):
         points_m, conversion = _placed(path, (number, len(files)), poses, frame=roads.frame, args=args)
         vertical = conversion or vertical
-        parts.append(thinned(points_m, args.voxel_m) if len(points_m) else points_m)
-    points_m = thinned(np.concatenate(parts), args.voxel_m)
+        parts.append(ground_points.thinned(points_m, args.voxel_m) if len(points_m) else points_m)
+    points_m = ground_points.thinned(np.concatenate(parts), args.voxel_m)
     if not len(points_m):
         raise FormatError(str(args.files[0]), "points", "at least one")
-    level = levels_of_ground(points_m, _path(roads), roads.lines_level(), 0.5 * args.width_m)
-    on_road = level != NO_ROAD
-    heights = GroundHeights.of(points_m[on_road], level[on_road], args.spacing_m)
+    level = ground_points.levels_of_ground(points_m, _path(roads), roads.lines_level(), 0.5 * args.width_m)
+    on_road = level != ground_points.NO_ROAD
+    heights = ground_points.GroundHeights.of(points_m[on_road], level[on_road], args.spacing_m)
     sigma_m = args.sigma_m if vertical is None else sigma_of(args, vertical)
 
     def ground(latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:

@@ -18,8 +18,8 @@ from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 from camber.tools.options.parsers import add_with_default
 
 
-def add_height_arguments(parser: argparse.ArgumentParser) -> None:
-    """The vertical datum, or an undulation that the user answers for; and σ of the heights."""
+def add_height_arguments(parser: argparse.ArgumentParser, *, of_lanes: bool = False) -> None:
+    """The vertical datum, or an undulation that the user answers for; σ of the heights, and of lanes across."""
     add = parser.add_argument_group("heights of the input").add_argument
     text = (
         "above what they are: ellipsoidal, or a vertical CRS as PROJ knows it (EPSG:7837, 'EGM2008 height')"
@@ -32,12 +32,9 @@ def add_height_arguments(parser: argparse.ArgumentParser) -> None:
     add("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
     text = "σ of the heights of roads in the input"
     add("--sigma-m", type=HEIGHT_SIGMA, required=True, metavar="S", help=text)
-
-
-def add_link_sigma(parser: argparse.ArgumentParser) -> None:
-    """σ of lanes across."""
-    bounds = number_from(0.001, 100.0, "m")
-    add_with_default(parser, "--link-sigma-m", 0.5, "σ of the lanes across", type=bounds, metavar="S")
+    if of_lanes:
+        bounds = number_from(0.001, 100.0, "m")
+        add_with_default(parser, "--link-sigma-m", 0.5, "σ of the lanes across", type=bounds, metavar="S")
 
 
 def lane_survey(args: argparse.Namespace, vertical: VerticalDatum) -> LaneSurvey:

@@ -14,12 +14,7 @@ from camber.formats.map_exchange.lanelet2 import ROADS, Lanelet, LaneletMap, rea
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.tile_checks import MAX_ID
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.height_options import (
-    add_height_arguments,
-    add_link_sigma,
-    lane_survey,
-    vertical_of,
-)
+from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, mean_longitude, named_id
 from camber.tools.options.parsers import add_with_default
@@ -28,8 +23,7 @@ from camber.tools.options.parsers import add_with_default
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a Lanelet2 map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.osm")
-    add_height_arguments(parser)
-    add_link_sigma(parser)
+    add_height_arguments(parser, of_lanes=True)
     add_with_default(parser, "--subtypes", ",".join(sorted(ROADS)), "of lanelets that are taken")
 
 

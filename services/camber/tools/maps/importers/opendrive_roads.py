@@ -25,12 +25,7 @@ from camber.formats.map_exchange.projection import Projection, projection_of
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.height_options import (
-    add_height_arguments,
-    add_link_sigma,
-    lane_survey,
-    vertical_of,
-)
+from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
 from camber.tools.options.parsers import add_with_default
@@ -48,8 +43,7 @@ End = tuple[str, int, int, str]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only an OpenDRIVE map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.xodr")
-    add_height_arguments(parser)
-    add_link_sigma(parser)
+    add_height_arguments(parser, of_lanes=True)
     add_with_default(parser, "--lane-types", ",".join(LANE_TYPES), "types of lanes that are taken")
     text = "the projection, where the file does not say it"
     parser.add_argument("--georeference", metavar="PROJ", help=text)
