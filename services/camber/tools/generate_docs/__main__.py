@@ -12,6 +12,7 @@ from camber.schemas.channels import SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
 from camber.tools.generate_docs.decision_table import decision_table
 from camber.tools.generate_docs.service_tables import issues_by_service, parameter_table, runbook_rows
+from camber.tools.security.access import table_text
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -21,6 +22,7 @@ SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
         for service in (*SERVICES, SENSORS)
     },
     ("services/integrity.md", "decision table"): decision_table,
+    ("security.md", "access table"): table_text,
     **{
         ("runbook.md", f"issues of {service}"): partial(runbook_rows, service)
         for service in issues_by_service()

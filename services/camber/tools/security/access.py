@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         add_with_default(command, "--tls", FOLDER, "folder of CA, certificate and key", type=Path)
         command.add_argument("--out", type=Path, metavar="FILE", help="output file (default standard output)")
     table = commands.add_parser("table", help="print the access rules as a Markdown table")
-    table.set_defaults(work=lambda _: print(table_text(), end="") or 0)
+    table.set_defaults(work=lambda _: print(table_text()) or 0)
     check = commands.add_parser("check", help="test whether this certificate may publish")
     check.set_defaults(work=_check)
     add = check.add_argument
@@ -162,7 +162,7 @@ def table_text() -> str:
         cells = [_cell(rules[kind], channel.key) for kind in _KINDS]
         if any(cells):
             lines.append(f"| `{channel.name}` | `{key}` | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _cell(rules: list[AllowedMessage], key: str) -> str:

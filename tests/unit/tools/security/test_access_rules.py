@@ -170,11 +170,6 @@ def test_a_file_of_deploy_is_what_its_command_makes(path: Path, tmp_path: Path) 
     assert json.loads(text_without_comments(path))["access_control"]["default_permission"] == "deny"
 
 
-def test_the_table_of_the_page_is_that_of_the_rules() -> None:
-    page = (ROOT / "docs/security.md").read_text()
-    assert access.table_text() in page, "put the output of `camber access table` into docs/security.md"
-
-
 @pytest.mark.parametrize("name", ["fleet", "car/1", "*", "car-1+2", ""])
 def test_a_name_that_would_be_something_else_in_a_key_is_refused(name: str, refused: Refused) -> None:
     refused(access.main, "vehicle", name, "--connect", "tls/c:1")
