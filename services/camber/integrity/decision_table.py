@@ -34,7 +34,8 @@ Detail = Callable[[FixTests], str]
 class DecisionRule:
     """One check: where `applies` holds and no rule before did, `outcome` is the verdict, with this reason.
 
-    `compared`: the verdict rests on the comparison with pose and height model and publishes its figures.
+    `compared`: the verdict rests on the comparison with pose and height model and publishes its figures. `for_height`:
+    it is only checked where the height is tested.
     """
 
     reason: Reason
@@ -44,6 +45,7 @@ class DecisionRule:
     outcome: VerdictValue = "unknown"
     evidence: Callable[[FixTests], tuple[Evidence, ...]] = lambda _: ()
     compared: bool = False
+    for_height: bool = False
 
 
 def _rule(
@@ -56,13 +58,12 @@ _compared = partial(_rule, compared=True)
 
 
 def _input_rule(check: Check[EpochInputs], *, for_height: bool) -> DecisionRule:
+    applies = check.applies
     return _rule(
         check.reason,
         check.explanation,
-        lambda tests: (
-            (tests.determination.asks_height or not for_height)
-            and check.applies(tests.inputs, tests.fix.time_ns, tests.rules)
-        ),
+        lambda tests: applies(tests.inputs, tests.fix.time_ns, tests.rules),
+        for_height=for_height,
     )
 
 
@@ -226,9 +227,13 @@ TEST_RULES: tuple[DecisionRule, ...] = (
 )
 
 
+_RULES_WITHOUT_HEIGHT = tuple(rule for rule in TEST_RULES if not rule.for_height)
+
+
 def decide(tests: FixTests) -> FixJudgement:
     """Return the judgement of the first rule that applies."""
-    rule = next(rule for rule in TEST_RULES if rule.applies(tests))
+    rules = TEST_RULES if tests.determination.asks_height else _RULES_WITHOUT_HEIGHT
+    rule = next(rule for rule in rules if rule.applies(tests))
     road = tests.road if rule.compared else None
     cause = tests.cause_here if rule.compared else tests.common_cause
     failed = rule.compared and tests.outcome != ALL_AGREE and rule.reason != "common_offset"

@@ -75,7 +75,10 @@ def first_reason(
     checks: Sequence[Check[SubjectT]], subject: SubjectT, at_ns: int, rules: Rules
 ) -> Reason | None:
     """Return the reason of the first check that applies to this subject at this time."""
-    return next((check.reason for check in checks if check.applies(subject, at_ns, rules)), None)
+    for check in checks:
+        if check.applies(subject, at_ns, rules):
+            return check.reason
+    return None
 
 
 def input_checks(rules: Rules) -> tuple[Check[EpochInputs], ...]:

@@ -24,12 +24,14 @@ def functions_of(value: FloatOrArray) -> ModuleType:
 
 def any_of(condition: FloatOrArray) -> bool:
     """Does it apply to one of them at least?"""
+    if condition is True or condition is False:
+        return condition
     return bool(condition.any()) if isinstance(condition, np.ndarray) else condition
 
 
 def where(condition: FloatOrArray, yes: FloatOrArray, no: FloatOrArray) -> FloatOrArray:
     """`yes` where it applies, else `no`; what does not apply may be anything."""
-    if condition is True or condition is False:  # by far the most frequent case, and the fastest
+    if condition is True or condition is False:  # plain floats, asked for most often
         return yes if condition else no
     return np.where(condition, yes, no) if isinstance(condition, np.ndarray) else yes if condition else no
 

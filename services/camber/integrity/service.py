@@ -110,7 +110,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._report()
 
     def _alive(self) -> frozenset[str]:
-        return frozenset(name for name in _SERVICES if self.bus.is_alive(name))
+        return frozenset(filter(self.bus.is_alive, _SERVICES))
 
     def _should_wait(self, fix: Fix, received_ns: int, now_ns: int, alive: frozenset[str]) -> bool:
         """A fix waits for the pose of its epoch: not longer than an epoch's width, whatever the clocks do.
@@ -118,12 +118,11 @@ class IntegrityService(Service[IntegritySettings]):
         Over a link what is of one epoch comes apart by as much as the link's delay varies.
         """
         pose = self._judge.latest.pose
-        pose_is_there = pose is not None and age_s(pose.time_ns, fix.time_ns) <= SAME_EPOCH_S
-        longest_s = SAME_EPOCH_S + self.settings.link_delay_s
-        waited = (
-            not 0.0 <= age_s(received_ns, now_ns) < longest_s or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
-        )
-        return not pose_is_there and not waited and "localizer" in alive
+        if pose is not None and age_s(pose.time_ns, fix.time_ns) <= SAME_EPOCH_S:
+            return False
+        if age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S or "localizer" not in alive:
+            return False
+        return 0.0 <= age_s(received_ns, now_ns) < SAME_EPOCH_S + self.settings.link_delay_s
 
     def _judge_fix(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> None:
         judgement = self._judge.judge(fix, now_ns, alive)

@@ -110,7 +110,7 @@ class FixTests:
         # The road's planes are relative to where the pose was at its own time.
         return road_at(pose.road, *offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, pose.time_ns))
 
-    @property
+    @cached_property
     def is_off_road(self) -> bool:
         """Is the fix beyond the planes of the map, because it is far from the pose or because the pose is wrong?"""
         return self.determination.asks_height and self.road is None
@@ -130,7 +130,7 @@ class FixTests:
             sigma_m=math.hypot(antenna.sigma_m, correction.sigma_m),
         )
 
-    @property
+    @cached_property
     def model_sigma_m(self) -> float:
         """σ of road and antenna height together; zero where the height is not tested."""
         if self.road is None or self.height is None:
@@ -175,7 +175,7 @@ class FixTests:
         """Does the horizontal position contradict the pose, in a test that is in use?"""
         return "position" in self.determination.tests and self.comparison.position == CONTRADICTS
 
-    @property
+    @cached_property
     def outcome(self) -> int:
         """Index of `consistency.REASONS`; off the road only the position was tested."""
         return POSITION_CONTRADICTS if self.is_off_road else self.comparison.outcome

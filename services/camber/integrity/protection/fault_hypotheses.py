@@ -313,7 +313,7 @@ def of_pose(
         wrong = latent_fault.odds / (1.0 + latent_fault.odds)
         # The height is that of the road.
         wider = (ee + latent_fault.horizontal_m2, en, nn + latent_fault.horizontal_m2)
-        pulled = replace(alone, weight=wrong, horizontal_m2=wider)
+        pulled = MixtureComponent(weight=wrong, horizontal_m2=wider, up_m2=alone.up_m2)
         parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
@@ -411,9 +411,21 @@ def _by_road(
     part: MixtureComponent, weight: float, rules: LevelRules
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
-    changed, up_m2 = rules.changed_road_prior, part.up_m2 + rules.changed_road_sigma_m**2
-    surveyed = replace(part, weight=(1.0 - changed) * weight)
-    return surveyed, replace(part, weight=changed * weight, up_m2=up_m2)
+    changed = rules.changed_road_prior
+    # Twice for every position: built at once, not by `replace`, which takes twice as long.
+    surveyed = MixtureComponent(
+        weight=(1.0 - changed) * weight,
+        mean_m=part.mean_m,
+        horizontal_m2=part.horizontal_m2,
+        up_m2=part.up_m2,
+    )
+    changed_road = MixtureComponent(
+        weight=changed * weight,
+        mean_m=part.mean_m,
+        horizontal_m2=part.horizontal_m2,
+        up_m2=part.up_m2 + rules.changed_road_sigma_m**2,
+    )
+    return surveyed, changed_road
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:

@@ -151,7 +151,9 @@ class _TailProbability:
             room = level_m2 - length2
             # By more than rounding: where P jumps the level lies on the far side, also when it is evaluated again.
             nearer = room < _ROUNDING * level_m2
-            room = where(nearer, _LEAST, room)
+            some_nearer = any_of(nearer)
+            if some_nearer:
+                room = where(nearer, _LEAST, room)
             tail, fall = 0.0, 0.0
             for rate, outwards, outwards2 in nodes:
                 straight = sqrt(room + outwards2)
@@ -161,8 +163,10 @@ class _TailProbability:
                 tail = tail + (at_node + opposite)
                 fall = fall + (at_node * steep + opposite * steeper) / straight
             share = 0.5 * weight / len(nodes)
-            probability = probability + where(nearer, weight, share * tail)
-            slope = slope + where(nearer, 0.0, share * fall)
+            tail, fall = share * tail, share * fall
+            if some_nearer:
+                tail, fall = where(nearer, weight, tail), where(nearer, 0.0, fall)
+            probability, slope = probability + tail, slope + fall
         return probability, slope
 
     def _about(self, log_risk: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray, FloatOrArray]:
