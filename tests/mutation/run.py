@@ -3,7 +3,8 @@
 Every function of the pure modules of `camber.integrity` is changed in thousands of small ways by mutmut, each of which
 a test must notice. mutmut wants one source root and writes beside what it changes: so all is laid out anew in a folder
 of its own. What no test notices in a fork of one collection (`forked.py`) mutmut tries once more by itself. What no
-test can notice stands in `survivors.toml`, each with why; what neither a test nor that file explains is listed. mutmut
+test can notice stands in `survivors.toml`, each with why. The rest is tried in a new process each, which imports all
+modules with the change: only there does a change of what builds a table show. What is left then is listed. mutmut
 leaves alone what is not within a function (defaults of dataclasses, constants) and what has a decorator (properties).
 """
 
@@ -22,7 +23,10 @@ import time
 import tokenize
 import tomllib
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+import pytest
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGE = "integrity"
@@ -32,6 +36,7 @@ _OF_PROCESSES = ("camber.runtime", f"camber.{_PACKAGE}.service", f"camber.{_PACK
 _NOTICED = frozenset({"killed", "timeout", "segfault", "caught by type check"})
 _LEAST_SHARE = 0.95
 _NEARLY_THE_SAME = 1e-6
+_OPTIONS = ("-p", "no:cacheprovider", "-m", "not slow", "--rootdir", ".")
 _STRICT = re.compile(r",\s*(strict=\w+)?\s*\)")
 
 
@@ -62,6 +67,7 @@ def main() -> int:
         name: "killed" if noticed.get(name) else outcome
         for name, outcome in _results(command, folder).items()
     }
+    results |= dict.fromkeys(_noticed_anew(_unexplained(results, folder), folder, args.processes), "killed")
     code = _report(results, modules, folder)
     print(f"mutation: {(time.monotonic() - began_s) / 60.0:.0f} minutes")
     return code
@@ -134,13 +140,22 @@ def _forked(tests: dict[str, list[str]], folder: Path, processes: int) -> dict[s
     """Of each mutant whether a test noticed it, by forks of one collection."""
     inside, asked, verdict_file = folder / "mutants", folder / "tests_of.json", folder / "noticed.jsonl"
     asked.write_text(json.dumps({name: names for name, names in tests.items() if names}))
-    options = ["-q", "-p", "forked", "-p", "no:cacheprovider", "-m", "not slow", "--rootdir", "."]
-    options += ["--mutants", str(asked), "--verdicts", str(verdict_file), "--at-once", str(processes)]
+    options = [
+        "-q",
+        "-p",
+        "forked",
+        *_OPTIONS,
+        "--mutants",
+        str(asked),
+        "--verdicts",
+        str(verdict_file),
+        "--at-once",
+        str(processes),
+    ]
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", *options, f"tests/unit/{_PACKAGE}"],
         cwd=inside,
-        env=os.environ
-        | {"PYTHONPATH": f"{inside / 'src'}:{Path(__file__).parent}", "OPENBLAS_NUM_THREADS": "1"},
+        env=_environment(folder),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -151,6 +166,38 @@ def _forked(tests: dict[str, list[str]], folder: Path, processes: int) -> dict[s
             f"mutation: pytest ended with {ran.returncode}:\n{ran.stdout[-4000:]}{ran.stderr[-4000:]}"
         )
     return dict(json.loads(line) for line in verdict_file.read_text().splitlines())
+
+
+def _unexplained(results: dict[str, str], folder: Path) -> list[str]:
+    """The mutants that nobody noticed or explained."""
+    explained = _explained()
+    changes = {name: _change(name, folder) for name, outcome in results.items() if outcome not in _NOTICED}
+    return [
+        name for name, change in changes.items() if change not in explained and not _is_slight(*change[1:])
+    ]
+
+
+def _noticed_anew(names: list[str], folder: Path, processes: int) -> list[str]:
+    """Those that a test notices in a process of its own: what is called while modules are imported is called anew."""
+
+    def fails(name: str) -> bool:
+        ran = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-x", *_OPTIONS, f"tests/unit/{_PACKAGE}"],
+            cwd=folder / "mutants",
+            env=_environment(folder) | {"MUTANT_UNDER_TEST": name},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        return ran.returncode in (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
+
+    with ThreadPoolExecutor(processes) as pool:
+        return [name for name, failed in zip(names, pool.map(fails, names), strict=True) if failed]
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    paths = f"{folder / 'mutants/src'}:{Path(__file__).parent}"
+    return os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _results(command: list[str], folder: Path) -> dict[str, str]:

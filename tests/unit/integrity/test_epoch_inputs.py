@@ -4,6 +4,7 @@ import typing
 
 import pytest
 
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.rules import Rules
 from camber.schemas.pose import RoadReason
@@ -52,6 +53,13 @@ def missing(**changes):
 
 def test_with_all_there_nothing_is_missing():
     assert missing() is None
+
+
+def test_without_a_test_of_the_height_neither_road_nor_antenna_is_needed():
+    by_position = Rules(determination=ConsistencyParameters(tests=("position",)))
+    inputs = EpochInputs(pose=pose(road=road(**UNKNOWN_ROAD)), antenna=None, alive=ALL)
+    assert inputs.missing(at(0), by_position) is None
+    assert inputs.missing(at(0), RULES) == "antenna_height_missing"
 
 
 @pytest.mark.parametrize(

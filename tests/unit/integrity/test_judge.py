@@ -744,6 +744,9 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
         assert judgement.detail.split(":")[0].endswith(("disagrees", "unverified"))
     assert judged(learning=base).confirmed
     assert judged(fix(up_m=0.6), learning=Knowing(cause="antenna")).verdict == "erroneous"
+    # Only where the fix itself contradicts the pose it carries no information on the road.
+    assert judged(fix(north_m=2.0), learning=base).road is not None
+    assert judged(fix(north_m=2.0)).road is None
 
 
 def test_a_fix_beyond_the_road_and_off_the_pose_contradicts_the_pose():

@@ -154,7 +154,7 @@ class Learning:
         gain, before = self.rules.gain, part.correction
         learnt_m = (1.0 - gain) * before.correction_m + gain * observed_m
         if abs(learnt_m) <= self.rules.cap_m:
-            part.correction = Correction(correction_m=learnt_m, sigma_m=0.0, samples=before.samples + 1)
+            part.correction = Correction(correction_m=learnt_m, samples=before.samples + 1)
 
     def _learn(self, cell: ResidualCell) -> None:
         """One step towards the common part of the stretches remembered."""

@@ -376,7 +376,6 @@ def _diagnosis_of(road: RoadChange) -> Diagnosis:
         cause="road",
         onset_ns=road.onset_ns,
         up_m=road.offset_m,
-        east_north_m=None,
         surface_id=road.surface_id,
         text=text,
     )

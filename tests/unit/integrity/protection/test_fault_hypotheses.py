@@ -87,6 +87,7 @@ def test_a_fix_is_where_it_says_unless_it_is_wrong_and_then_the_vehicle_is_where
     assert (right.mean_m, right.horizontal_m2, right.up_m2) == (NO_OFFSET, (ee, 0.0, nn), uu)
     assert wrong.mean_m == pytest.approx((0.05, 0.0, 0.04), abs=1e-4)
     assert wrong.horizontal_m2 == pytest.approx((0.01, 0.0, 0.01))
+    assert wrong_on_a_changed_road.mean_m == wrong.mean_m
     assert wrong_on_a_changed_road.up_m2 == pytest.approx(wrong.up_m2 + LEVELS.changed_road_sigma_m**2)
     assert wrong_on_a_changed_road.weight == pytest.approx(CHANGED / (1.0 - CHANGED) * wrong.weight)
     assert pulled.weight == 0.0  # nothing was confirmed before
