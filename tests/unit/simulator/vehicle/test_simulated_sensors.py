@@ -192,6 +192,7 @@ def test_attitude_takes_some_of_the_acceleration_for_gravity() -> None:
     t = drive(path, ROBOT, start_ns=START_NS)
     leaky = dataclasses.replace(PERFECT.attitude, leaking_share=0.03, leaking_s=2.0)
     readings = read_sensors(t, ROBOT, path.surface_m, dataclasses.replace(PERFECT, attitude=leaky), 1)
+    assert readings.stroke is None  # a robot has no springs
     time_s = (readings.roll.true_time_ns - START_NS) / 1e9
     in_curve = np.flatnonzero(np.interp(time_s, (t.time_ns - START_NS) / 1e9, t.yaw_rate_rad_s) > 0.1)
     # Long after its beginning: the whole share of v² κ / g, the left side up.

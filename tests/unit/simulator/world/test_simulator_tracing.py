@@ -120,15 +120,16 @@ def test_hits_agree_with_an_oracle_that_looks_at_every_shape(seed: int, cell_m: 
     origin, direction = random_rays(rng, 2000, 60.0)
     hard, crowns = surfaces(shapes, origin, direction)
     expected = np.concatenate((hard, crowns), axis=1).min(axis=1)
-    expected[expected > 150.0] = np.inf
+    expected[expected > 40.0] = np.inf
     tracer = ShapeTracer(shapes, cell_m)
-    hits = tracer.first_hits(origin, direction, 150.0)
+    hits = tracer.first_hits(origin, direction, 40.0)
     met = np.isfinite(expected)
     assert met.mean() > 0.2
+    assert (np.isfinite(hard.min(axis=1)) & ~met).sum() > 50  # beyond the range
     np.testing.assert_array_equal(np.isfinite(hits.distance_m), met)
     np.testing.assert_allclose(hits.distance_m[met], expected[met], atol=1e-9)
     nearest = hard.min(axis=1)
-    np.testing.assert_array_equal(tracer.blocked(origin, direction, 150.0), nearest <= 150.0)
+    np.testing.assert_array_equal(tracer.blocked(origin, direction, 40.0), nearest <= 40.0)
     kind = np.concatenate((hard, crowns), axis=1).argmin(axis=1) // 40
     materials = np.array([Material.BUILDING, Material.POLE, Material.ROAD, Material.TREE])
     np.testing.assert_array_equal(hits.material, np.where(met, materials[kind], -1))
