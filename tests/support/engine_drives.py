@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,8 +21,8 @@ from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.observations import simulate_signals
-from camber.simulator.satellites.parameters import BASE, ROVER
-from camber.simulator.satellites.track import static_track
+from camber.simulator.satellites.parameters import BASE, ROVER, SignalParameters
+from camber.simulator.satellites.track import AntennaTrack, static_track
 from support.canyon_statistics import BASE_M, FIRST_NS, FRAME, SPEED_M_S
 from support.rtklib_runs import ecef_of
 from support.street_canyon import drive_through, street_canyon
@@ -47,30 +48,37 @@ def base_ecef_m() -> NDArray[np.float64]:
     return ecef_of(FRAME, np.array([BASE_M]))[0]
 
 
-def open_sky_drive(
-    seed: int = 1, seconds: int = 10, rate_hz: int = 1, begin_ns: int = FIRST_NS, houses: bool = False
-) -> Drive:
+def open_sky_drive(seed: int = 1, seconds: int = 10, rate_hz: int = 1, begin_ns: int = FIRST_NS) -> Drive:
     """A car at 8 m/s, 3 km from its base."""
     canyon = street_canyon(seed, 0.7, SPEED_M_S * seconds)
     track = drive_through(canyon, begin_ns, float(seconds), rate_hz)
     true = true_ephemerides(begin_ns, int(track.time_ns[-1]), seed)
-    around = canyon.surroundings() if houses else None
-    rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover", around)
+    rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover")
     base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
     ephemerides = broadcast_ephemerides(true, seed)
-    store = EphemerisStore(most_of_satellite=100)
+    epochs, truth_m = (list(rover.epochs()), list(base.epochs())), ecef_of(FRAME, track.antenna_m)
+    return Drive(*epochs, ephemerides, store_of(ephemerides), truth_m)
+
+
+def store_of(ephemerides: Iterable[Ephemeris]) -> EphemerisStore:
+    store = EphemerisStore(most_of_satellite=1000)
     for e in ephemerides:
         store.add(e)
-    return Drive(
-        list(rover.epochs()), list(base.epochs()), ephemerides, store, ecef_of(FRAME, track.antenna_m)
-    )
+    return store
 
 
-def engine_of(
-    drive: Drive, options: EngineSettings | None = None, base_m: NDArray[np.float64] | None = None
-) -> Engine:
-    """An engine that knows the ephemerides and the base's position, or another one."""
-    engine = Engine(options or EngineSettings(), base_ecef_m() if base_m is None else base_m)
+def received(
+    track: AntennaTrack, seed: int, parameters: SignalParameters = ROVER
+) -> tuple[tuple[ObservationEpoch, ...], EphemerisStore]:
+    """What a receiver on a track observes under an open sky, and the ephemerides that are broadcast."""
+    true = true_ephemerides(int(track.time_ns[0]), int(track.time_ns[-1]), seed)
+    signals = simulate_signals(track, FRAME, true, parameters, seed, "rover")
+    return tuple(signals.epochs()), store_of(broadcast_ephemerides(true, seed))
+
+
+def engine_of(drive: Drive, options: EngineSettings | None = None) -> Engine:
+    """An engine that knows the ephemerides and the base's position."""
+    engine = Engine(options or EngineSettings(), base_ecef_m())
     for e in drive.ephemerides:
         engine.add_ephemeris(e)
     return engine
@@ -89,6 +97,10 @@ def solved(drive: Drive, engine: Engine | None = None) -> list[Solution]:
 def some_rows(epoch: ObservationEpoch, rows: NDArray[np.bool_] | NDArray[np.int64]) -> ObservationEpoch:
     """Some rows of an epoch, or all in another order."""
     return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
+
+
+def of_systems(epoch: ObservationEpoch, systems: str) -> ObservationEpoch:
+    return some_rows(epoch, np.isin(epoch.satellite >> 8, [ord(letter) for letter in systems]))
 
 
 def seconds_later(epoch: ObservationEpoch, seconds: float) -> ObservationEpoch:

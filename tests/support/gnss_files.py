@@ -9,7 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
@@ -21,6 +23,7 @@ from camber.formats.rinex.navigation_reader import NavigationDecoder, Navigation
 from camber.formats.rinex.observation_header import ObservationHeader
 from camber.formats.rinex.observation_reader import ObservationResult, RinexDecoder
 from camber.formats.rinex.writer import StationHeader, observation_lines
+from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +51,12 @@ def recording(name: str) -> Path:
     if "CAMBER_DATA" not in os.environ:
         pytest.skip("CAMBER_DATA is not set")
     return Path(os.environ["CAMBER_DATA"]) / name
+
+
+def recorded_place_m(file: Path) -> NDArray[np.float64]:
+    """ECEF (3,) of the latitude, longitude and ellipsoidal height in a file."""
+    latitude_deg, longitude_deg, height_m = map(float, file.read_text().replace(",", " ").split())
+    return np.array(ecef_from_geodetic_scalar(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m))
 
 
 def read_observations(path: Path) -> RinexObservations:

@@ -8,10 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from camber.antenna_height.available_heights import VehicleGeometry, heights_at, road_of
-from camber.antenna_height.flatness import Flatness, FlatRules
 from camber.antenna_height.latest_inputs import HeightInputs
 from camber.antenna_height.method_comparison import Comparison, ComparisonRules, References
-from camber.antenna_height.method_selection import antenna_height_message, select_method
+from camber.antenna_height.method_selection import (
+    Flatness,
+    FlatRules,
+    antenna_height_message,
+    select_method,
+)
 from camber.schemas.antenna import AntennaHeight, HeightMethod
 from camber.schemas.pose import Pose
 

@@ -74,20 +74,6 @@ def test_without_configuration_the_height_is_unknown() -> None:
     assert not running.service.healthy()
 
 
-def test_stroke_heights_are_passed_on_as_they_come() -> None:
-    certain = dict.fromkeys(
-        ("stored_sigma_m", "body_pitch_sigma_deg", "body_roll_sigma_deg", "slope_sigma"), 0.0
-    )
-    running = Running(**STROKE, **certain)
-    for n in range(3):
-        running.stroke(n / 10, height_m=0.4 + n / 10)
-        height = running.height(n / 10)
-        assert (height.status, height.way) == ("known", "stroke")
-        assert height.sigma_m == pytest.approx(0.01, abs=5e-4)
-        assert height.height_m == pytest.approx(0.92 + 0.31 + 0.4 + n / 10)
-        assert height.others == ()
-
-
 def test_a_stroke_height_that_is_too_old_is_no_height() -> None:
     limit_s = BY_NAME["suspension"].max_age_s
     assert limit_s is not None
@@ -97,16 +83,6 @@ def test_a_stroke_height_that_is_too_old_is_no_height() -> None:
     stale = running.height(limit_s + 0.2)
     assert (stale.status, stale.height_m) == ("unknown", None)
     assert "stroke" in stale.reason
-    assert not running.service.healthy()
-
-
-def test_methods_that_disagree_give_no_height() -> None:
-    running = Running(**STROKE, fixed_height_m=1.80)
-    running.stroke(0.0)
-    height = running.height(0.0)
-    assert (height.status, height.way, height.height_m) == ("disagreement", None, None)
-    assert height.reason == "fixed 1.800 m, stroke 1.680 m for 0 s"
-    assert [other.way for other in height.others] == ["stroke", "fixed"]
     assert not running.service.healthy()
 
 
@@ -144,14 +120,8 @@ PLACE = {"x_m": 0.0, "y_m": 0.0, "z_m": 1.5}
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (
-            {"way": "stroke", "tyre_radius_m": 0.3},
-            "way stroke needs suspension_to_antenna_m and tyre_radius_m",
-        ),
-        (
-            {"way": "stroke", "suspension_to_antenna_m": 0.3},
-            "needs suspension_to_antenna_m and tyre_radius_m",
-        ),
+        ({"way": "stroke", "tyre_radius_m": 0.3}, "way stroke needs suspension_to_antenna_m and tyre_radius_m"),
+        ({"way": "stroke", "suspension_to_antenna_m": 0.3}, "needs suspension_to_antenna_m and tyre_radius_m"),
         ({"way": "ranging", "ranging": PLACE}, "way ranging needs antenna and ranging or lidar"),
         ({"way": "ranging", "antenna": PLACE}, "way ranging needs antenna and ranging or lidar"),
         ({"way": "scan_matching", "antenna": PLACE, "ranging": PLACE}, "needs antenna and lidar"),
@@ -160,7 +130,7 @@ PLACE = {"x_m": 0.0, "y_m": 0.0, "z_m": 1.5}
         ({"flat_slope_return": 0.2}, "flat_slope_return is above flat_slope_leave"),
         ({"flat_uneven_return_m": 0.2}, "flat_uneven_return_m is above flat_uneven_leave_m"),
     ],
-)
+)  # fmt: skip
 def test_a_method_without_its_sensors_is_refused_by_the_settings(
     settings: dict[str, Any], expected: str
 ) -> None:
@@ -170,12 +140,7 @@ def test_a_method_without_its_sensors_is_refused_by_the_settings(
 
 
 def test_each_measurement_of_the_configured_method_publishes_and_no_other() -> None:
-    running = Running(
-        way="ranging",
-        antenna=PLACE,
-        ranging=PLACE | {"z_m": 0.9},
-        **{k: v for k, v in STROKE.items() if k != "way"},
-    )
+    running = Running(**STROKE | {"way": "ranging", "antenna": PLACE, "ranging": PLACE | {"z_m": 0.9}})
     distance = Ranging(time_ns=START_NS, distance_m=0.9, beam_angle_rad=math.pi / 2, distance_sigma_m=0.004)
     running.service.handlers()["ranging"](distance)
     height = running.height(0.0)

@@ -5,6 +5,7 @@ The oracle places a vehicle in space and follows rays and verticals down to a pl
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import replace
 
@@ -112,9 +113,8 @@ def test_a_sensors_height_is_carried_to_the_antenna(
     road: Slopes, body: Tilt, antenna: Arm, lidar: Arm
 ) -> None:
     scene, arm = Scene(road, body), antenna.minus(lidar)
-    height_m, *sigmas_m = height_from_sensor(
-        scene.height(scene.at(lidar)), 0.02, exact(road, body), sensor_to_antenna=arm
-    )
+    over_road_m = scene.height(scene.at(lidar))
+    height_m, *sigmas_m = height_from_sensor(over_road_m, 0.02, exact(road, body), sensor_to_antenna=arm)
     assert height_m == pytest.approx(scene.height(scene.at(antenna)), abs=1e-9)
     assert sigmas_m == [0.02, 0.0]
 
@@ -141,15 +141,10 @@ def test_on_level_ground_the_heights_are_the_sums_of_jp7707657b2() -> None:
     by_stroke = stroke_height(measured_stroke(0.45, 0.03), LEVEL, geometry, antenna=None)
     assert by_stroke == (pytest.approx(1.68), 0.03, 0.0)
     theta, antenna = math.radians(70.0), Arm(1.2, 0.0, 0.63)
-    by_range = ranging_height(
-        measured_distance(1.0, theta, 0.01), LEVEL, beam(ORIGIN, math.pi), antenna=antenna
-    )
-    assert by_range[0] == pytest.approx(1.0 * math.sin(theta) + 0.63)
-    assert by_range[1:] == (pytest.approx(0.01 * math.sin(theta)), 0.0, 0.0)
-    by_angle_m = ranging_height(
-        measured_distance(2.0, theta), LEVEL, beam(ORIGIN, 0.0, 0.01), antenna=antenna
-    )[2]
-    assert by_angle_m == pytest.approx(2.0 * 0.01 * math.cos(theta))
+    distance = measured_distance(2.0, theta, 0.01)
+    height_m, *sigmas_m = ranging_height(distance, LEVEL, beam(ORIGIN, math.pi, 0.02), antenna=antenna)
+    assert height_m == pytest.approx(2.0 * math.sin(theta) + 0.63)
+    assert sigmas_m == pytest.approx([0.01 * math.sin(theta), 2.0 * 0.02 * math.cos(theta), 0.0])
 
 
 @pytest.mark.parametrize("theta_deg", [0.0, 10.0, -45.0, 175.0, 250.0])
@@ -157,9 +152,6 @@ def test_a_beam_that_does_not_meet_the_road_is_implausible(theta_deg: float) -> 
     distance = measured_distance(1.0, math.radians(theta_deg))
     with pytest.raises(ImplausibleError, match=r"expected one that meets the road at 15° or more"):
         ranging_height(distance, LEVEL, beam(ORIGIN, 0.0), antenna=Arm(0.0, 0.0, 0.6))
-
-
-# What is not known of the attitude grows σ as it moves the height
 
 
 def spread(road: Slopes | None, body: Tilt | None, arm: Arm) -> tuple[float, float]:
@@ -199,10 +191,8 @@ def test_an_attitude_that_means_nothing_leaves_what_was_known_before() -> None:
 @given(slope, slope, st.floats(-math.pi, math.pi))
 def test_slopes_turn_with_the_heading(east: float, north: float, yaw: float) -> None:
     road = Slopes.along(east, north, yaw)
-    ahead = np.array([math.cos(yaw), math.sin(yaw)])
-    left = np.array([-math.sin(yaw), math.cos(yaw)])
-    assert road.forward == pytest.approx(float(np.dot([east, north], ahead)), abs=1e-12)
-    assert road.left == pytest.approx(float(np.dot([east, north], left)), abs=1e-12)
+    along = (east + 1j * north) * cmath.exp(-1j * yaw)
+    assert (road.forward, road.left) == pytest.approx((along.real, along.imag), abs=1e-12)
     assert road.steepness == pytest.approx(math.hypot(east, north), abs=1e-12)
 
 

@@ -42,29 +42,10 @@ def test_ellipse_reaches_the_chosen_level_at_the_end_of_its_axes(
     ee, en, nn = covariance(sigma_e, sigma_n, correlation)
     ellipse = error_ellipse((ee, en, nn), 0.99)
     inverse = np.linalg.inv([[ee, en], [en, nn]])
-    major = ellipse.semi_major_m * np.array(
-        [math.cos(ellipse.orientation_rad), math.sin(ellipse.orientation_rad)]
-    )
-    minor = ellipse.semi_minor_m * np.array(
-        [-math.sin(ellipse.orientation_rad), math.cos(ellipse.orientation_rad)]
-    )
+    c, s = math.cos(ellipse.orientation_rad), math.sin(ellipse.orientation_rad)
+    major, minor = ellipse.semi_major_m * np.array([c, s]), ellipse.semi_minor_m * np.array([-s, c])
     assert major @ inverse @ major == pytest.approx(confidence_scale(0.99), rel=1e-5)
     assert minor @ inverse @ minor == pytest.approx(confidence_scale(0.99), rel=1e-4)
-
-
-def test_ellipse_holds_its_probability_of_drawn_errors() -> None:
-    seed = 17
-    print(f"seed {seed}")
-    cov = covariance(0.03, 0.01, 0.6)
-    errors = np.random.default_rng(seed).multivariate_normal(
-        (0.0, 0.0), [[cov[0], cov[1]], [cov[1], cov[2]]], 100_000
-    )
-    ellipse = error_ellipse(cov, 0.99)
-    c, s = math.cos(ellipse.orientation_rad), math.sin(ellipse.orientation_rad)
-    along, across = errors @ [c, s], errors @ [-s, c]
-    inside = (along / ellipse.semi_major_m) ** 2 + (across / ellipse.semi_minor_m) ** 2 <= 1.0
-    assert np.mean(inside) == pytest.approx(0.99, abs=0.0015)
-    assert np.mean(np.hypot(*errors.T) <= radius_m(cov, 0.99)) >= 0.99
 
 
 @given(sigmas, sigmas, correlations, st.floats(0.01, 0.999), st.floats(0.01, 0.999))
@@ -93,23 +74,17 @@ def test_orientation_is_that_of_the_major_axis() -> None:
     assert error_ellipse((1.0, -0.5, 1.0), 0.5).orientation_rad == pytest.approx(-math.pi / 4)
 
 
-def test_rounding_is_forgiven_and_no_more() -> None:
+def test_rounding_is_forgiven() -> None:
     assert eigenvalues_m2((1.0, 1.0 + 1e-12, 1.0))[1] == 0.0
-    with pytest.raises(ValueError, match="not positive semidefinite"):
-        radius_m((1.0, 1.001, 1.0), 0.99)
 
 
 @pytest.mark.parametrize(
     "bad",
     [
-        (-1.0, 0.0, 1.0),
-        (-1.0, 0.0, -1.0),
-        (math.nan, 0.0, 1.0),
-        (1.0, math.nan, 1.0),
-        (math.inf, 0.0, 1.0),
-        (0.0, 1e-9, 0.0),
+        (-1.0, 0.0, 1.0), (-1.0, 0.0, -1.0), (math.nan, 0.0, 1.0), (1.0, math.nan, 1.0), (math.inf, 0.0, 1.0),
+        (0.0, 1e-9, 0.0), (1.0, 1.001, 1.0),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_covariance_is_refused(bad: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="not positive semidefinite"):
         radius_m(bad, 0.99)

@@ -52,14 +52,10 @@ def test_calendar_is_that_of_the_standard_library(time_ns: int) -> None:
 @pytest.mark.parametrize(
     ("day", "offset_s"),
     [
-        ((1980, 1, 6), 0),
-        ((1981, 7, 1), 1),
-        ((1999, 1, 1), 13),
-        ((2016, 12, 31), 17),
-        ((2017, 1, 1), 18),
+        ((1980, 1, 6), 0), ((1981, 7, 1), 1), ((1999, 1, 1), 13), ((2016, 12, 31), 17), ((2017, 1, 1), 18),
         ((2026, 1, 1), 18),
     ],
-)
+)  # fmt: skip
 def test_leap_seconds(day: tuple[int, int, int], offset_s: int) -> None:
     midnight = CalendarTime(*day, 0, 0, 0)
     time_ns = gps_ns_from_utc(midnight)
@@ -69,9 +65,8 @@ def test_leap_seconds(day: tuple[int, int, int], offset_s: int) -> None:
 
 def test_the_leap_second_of_2016_is_second_60() -> None:
     midnight_ns = gps_ns_from_utc(CalendarTime(2017, 1, 1, 0, 0, 0))
-    inside_ns = midnight_ns - NS_PER_SECOND // 2
-    assert utc_from_gps_ns(inside_ns) == CalendarTime(2016, 12, 31, 23, 59, 60, 500_000_000)
-    assert gps_ns_from_utc(CalendarTime(2016, 12, 31, 23, 59, 60, 500_000_000)) == inside_ns
+    inside_ns, inside = midnight_ns - NS_PER_SECOND // 2, CalendarTime(2016, 12, 31, 23, 59, 60, 500_000_000)
+    assert (utc_from_gps_ns(inside_ns), gps_ns_from_utc(inside)) == (inside, inside_ns)
     assert gps_minus_utc_s(inside_ns) == 17
     before = CalendarTime(2016, 12, 31, 23, 59, 59)
     assert midnight_ns - gps_ns_from_utc(before) == 2 * NS_PER_SECOND

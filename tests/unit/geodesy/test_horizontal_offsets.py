@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,7 +46,5 @@ def test_across_the_antimeridian_the_smaller_angle_counts():
 
 
 def test_higher_up_the_same_angle_is_farther():
-    low = east_north_between(0.6, 2.4, 0.6001, 2.4001)
-    high = east_north_between(0.6, 2.4, 0.6001, 2.4001, 1000.0)
-    assert high[0] > low[0]
-    assert high[1] > low[1]
+    low, high = (east_north_between(0.6, 2.4, 0.6001, 2.4001, height_m) for height_m in (0.0, 1000.0))
+    assert np.all(np.greater(high, low))

@@ -109,21 +109,6 @@ def test_an_nmea_stream_without_a_date_needs_one_in_the_settings() -> None:
 
 
 @pytest.mark.parametrize("protocol", ["pos", "nmea"])
-def test_how_the_bytes_were_cut_makes_no_difference(protocol: str) -> None:
-    data = pos(*range(20)) if protocol == "pos" else nmea(*range(20))
-    whole, expected = make()
-    receive(whole, data, protocol)
-    random = Random(3)
-    service, bus = make()
-    while data:
-        size = random.randint(1, 90)
-        receive(service, data[:size], protocol)
-        data = data[size:]
-    assert bus.fixes == expected.fixes
-    assert len(bus.fixes) == 20
-
-
-@pytest.mark.parametrize("protocol", ["pos", "nmea"])
 def test_garbage_costs_itself_only(protocol: str) -> None:
     begin, end = (pos(0, 1), pos(2, 3, header=False)) if protocol == "pos" else (nmea(0, 1), nmea(2, 3))
     random = Random(11)
@@ -160,14 +145,6 @@ def test_a_fix_of_another_century_stops_nothing(year: int, code: str) -> None:
     receive(service, pos(1, header=False))
     assert tenths_of(bus) == [0, 1]
     assert bus.counted() == {code: 1}
-
-
-def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:
-    service, bus = make()
-    bus.time_ns = START_NS
-    receive(service, pos(5, 6))
-    assert tenths_of(bus) == [5]
-    assert bus.counted() == {"epoch_from_the_future": 1}
 
 
 def test_a_receiver_that_began_in_the_past_is_followed_once_it_knows_the_time() -> None:

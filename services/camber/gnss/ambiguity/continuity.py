@@ -16,6 +16,7 @@ from camber.formats.observations import Integers
 from camber.gnss.observations.signal_pairs import GROUPS
 
 Continuity = Literal["continuous", "broken", "no_evidence"]
+_LEAST_EVIDENCE = 3  # chosen: double differences that two fixes must share
 
 
 class FixedIntegers(NamedTuple):
@@ -28,16 +29,15 @@ class FixedIntegers(NamedTuple):
 
 
 class ContinuityTracker:
-    """Compares each fix with the last one; `least_evidence`: double differences that both must share."""
+    """Compares each fix with the last one."""
 
-    def __init__(self, *, least_evidence: int = 3) -> None:
-        self._least = least_evidence
+    def __init__(self) -> None:
         self._last: FixedIntegers | None = None
         self._since_ns: int | None = None
 
     def update(self, time_ns: int, fix: FixedIntegers) -> tuple[Continuity, int]:
         """Continuity of this fix, and the time of the first fix of the continuous chain (GPS time, ns)."""
-        continuity = "no_evidence" if self._last is None else compare(self._last, fix, self._least)
+        continuity = "no_evidence" if self._last is None else compare(self._last, fix, _LEAST_EVIDENCE)
         if continuity != "continuous" or self._since_ns is None:
             self._since_ns = time_ns
         self._last = fix

@@ -41,8 +41,8 @@ class Estimate(NamedTuple):
     """Float and fixed position from a subset of rows, as offsets from the linearisation point in ECEF (3,), (3, 3).
 
     `status` is that of `resolution` or one of this module; fixed only where it is RESOLVED. `integer`
-    (rows,) is that of a row against the reference of its group (0 there), NaN where unknown. `phase_chi2` with
-    `phase_freedom` degrees of freedom: residuals of the fixed phases; freedom 0: cannot be tested.
+    (rows,) is that of a row against the reference of its group (0 there), NaN where unknown. `phase_freedom`: degrees
+    of freedom of the fixed phases' residuals; 0: they cannot be tested.
     """
 
     status: int
@@ -50,12 +50,10 @@ class Estimate(NamedTuple):
     float_covariance_m2: Floats
     dx_m: Floats
     covariance_m2: Floats
-    codes: int
     ambiguities: int
     fixed: int
     ratio: float
     success_rate: float
-    phase_chi2: float
     phase_freedom: int
     integer: Floats
 
@@ -236,7 +234,7 @@ def estimate(
     """Position from the usable rows (n,): float, and fixed where it passes all criteria; the prior is an offset."""
     position = float_with_prior(rows, usable, prior, criteria.code_outlier)
     dx, covariance, integer = position.dx_m, position.covariance_m2, np.full(usable.size, np.nan)
-    status, count, fixed, ratio, success_rate, chi2, freedom = UNLIKELY, 0, 0, np.nan, np.nan, 0.0, 0
+    status, count, fixed, ratio, success_rate, freedom = UNLIKELY, 0, 0, np.nan, np.nan, 0
     if position.freedom < 0:
         status = NO_POSITION
     elif not inner(position.dx_m, position.dx_m) < _FAR_M**2:
@@ -267,12 +265,10 @@ def estimate(
         float_covariance_m2=position.covariance_m2,
         dx_m=dx,
         covariance_m2=covariance,
-        codes=position.used.sum(),
         ambiguities=count,
         fixed=fixed,
         ratio=ratio,
         success_rate=success_rate,
-        phase_chi2=chi2,
         phase_freedom=freedom,
         integer=integer,
     )

@@ -55,13 +55,10 @@ class BaseStation:
         self._checked_ns: int | None = None
         self._coordinate: Coordinate = "unknown"
 
-    def move_to(self, position_ecef_m: Floats | None) -> bool:
+    def move_to(self, position_ecef_m: Floats) -> bool:
         """Set the base's coordinate (3,) [m]; whether it changed."""
         before = self.position_ecef_m
-        if position_ecef_m is None or before is None:
-            changed = position_ecef_m is not before
-        else:
-            changed = not np.array_equal(position_ecef_m, before)
+        changed = before is None or not np.array_equal(position_ecef_m, before)
         if changed:
             self.position_ecef_m = position_ecef_m
             self._checked_ns, self._coordinate, self.miss_m = None, "unknown", None

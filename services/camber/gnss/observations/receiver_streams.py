@@ -47,9 +47,6 @@ DecodedItem = (
     | FormatError
 )
 """Content of any stream; the rest (baselines, for example) is dropped."""
-_KINDS = (
-    ObservationEpoch, Ephemeris, IonosphereCoefficients, ReceiverSolution, ReceiverIntegrity, FormatError,
-)  # fmt: skip
 StreamItem = tuple[Stream, DecodedItem]
 """An item and the stream to which it belongs."""
 _FRAMING = ("bytes_skipped", "failed_checks", "rows_refused", "rtcm_without_time")
@@ -150,7 +147,7 @@ class StreamReader:
             return [(self._station, result.epoch)]
         if isinstance(result, ReferenceStation):
             return [(self._station, StationPosition(result.position_ecef_m, f"rtcm-{result.station_id}"))]
-        return [(self._stream, result)] if isinstance(result, _KINDS) else []
+        return [(self._stream, result)] if isinstance(result, DecodedItem) else []
 
     def _marker(self) -> StationPosition | None:
         """Antenna position of a RINEX header, once."""

@@ -13,8 +13,7 @@ from camber.gnss.observations.base_station import station_name
 from camber.gnss.observations.receiver_streams import DecodedItem, StationPosition, Stream
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
-from camber.gnss.velocity.doppler_velocity import DopplerVelocity
-from camber.gnss.velocity.heading_filter import HeadingEstimate, HeadingFilter, PlaneVelocity
+from camber.gnss.velocity.heading_filter import HeadingEstimate, HeadingFilter
 from camber.schemas.motion import Motion
 
 _WHEEL_AGE_NS = 500_000_000  # chosen: five messages of a 10 Hz bus
@@ -83,8 +82,11 @@ class Rover:
         """Solve one epoch with everything received so far."""
         solution = self.engine.solve(epoch)
         self.recent.keep(solution)
-        if solution.velocity is not None:
-            self._update_heading(epoch.time_ns, solution.velocity)
+        velocity, wheel = solution.velocity, self._wheel_speed_m_s
+        # A recent wheel speed gives the direction of travel.
+        recent = abs(epoch.time_ns - self._wheel_ns) <= _WHEEL_AGE_NS
+        if velocity is not None and velocity.status == "ok" and wheel is not None and recent:
+            self._heading.add_velocity(velocity, wheel)
         differenced = solution.quality in ("fixed", "float")
         return SolvedEpoch(
             epoch=epoch,
@@ -92,15 +94,3 @@ class Rover:
             heading=self._heading.at(epoch.time_ns),
             base_station=self._base_station if differenced else None,
         )
-
-    def _update_heading(self, time_ns: int, velocity: DopplerVelocity) -> None:
-        """Update the heading by the velocity, where a recent wheel speed gives the direction of travel."""
-        wheel = self._wheel_speed_m_s
-        if velocity.status != "ok" or wheel is None or abs(time_ns - self._wheel_ns) > _WHEEL_AGE_NS:
-            return
-        (ee, en, _), (_, nn, _), _ = velocity.covariance_enu_m2_s2.tolist()
-        east, north, _ = velocity.velocity_enu_m_s.tolist()
-        plane = PlaneVelocity(
-            east_m_s=east, north_m_s=north, covariance_m2_s2=(ee, en, nn), hdop=velocity.hdop
-        )
-        self._heading.add_velocity(time_ns, plane, wheel)

@@ -36,26 +36,15 @@ class LinearModel(NamedTuple):
     prior_sigma: Floats
 
 
-class _LinearEstimate(NamedTuple):
-    """Weighted least squares of the rows in use; χ² includes the priors; `degrees` of freedom."""
-
-    status: int
-    value: Floats
-    covariance: Floats
-    chi_squared: float
-    degrees: int
-
-
 class RobustFit(NamedTuple):
     """p unknowns from n rows. `value` (p,) and its covariance are NaN for an unknown that no row in use has.
 
-    `residual` (n,): observed minus fitted, of the excluded rows too. `degrees` of freedom: 0 means untested.
+    χ² includes the priors. `degrees` of freedom: 0 means untested.
     """
 
     status: int
     value: Floats
     covariance: Floats
-    residual: Floats
     used: Booleans
     chi_squared: float
     degrees: int
@@ -74,7 +63,6 @@ def empty_fit(status: int, n: int, p: int) -> RobustFit:
         status,
         np.full(p, np.nan),
         covariance=np.full((p, p), np.nan),
-        residual=np.full(n, np.nan),
         used=np.zeros(n, np.bool_),
         chi_squared=np.nan,
         degrees=0,
@@ -92,7 +80,6 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
     tried too, and the smallest set wins. `INCONSISTENT`: the test fails and nothing would be left to test with, or half
     of the rows would be excluded.
     """
-    n = model.observed.size
     used = candidate.copy()
     count = candidate.sum()
     least = count - count // 2
@@ -128,18 +115,8 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
                 used[row] = False
                 break
             fit = again
-    residual = np.full(n, np.nan)
-    for i in range(n):
-        if candidate[i]:
-            residual[i] = _residual(model, i, fit)
     return RobustFit(
-        status=status,
-        value=fit.value,
-        covariance=fit.covariance,
-        residual=residual,
-        used=used,
-        chi_squared=fit.chi_squared,
-        degrees=fit.degrees,
+        status, fit.value, fit.covariance, used=used, chi_squared=fit.chi_squared, degrees=fit.degrees
     )
 
 
@@ -156,7 +133,7 @@ def _smallest_exclusion(model: LinearModel, candidate: Booleans, most: int, fals
     v, redundancy = np.empty(n), np.empty((n, n))
     for i in range(n):
         at = rows[i]
-        v[i] = _residual(model, at, fit) / model.sigma[at]
+        v[i] = _residual(model, at, fit.value) / model.sigma[at]
         for j in range(i + 1):
             hat = _fitted_covariance(model.design[at], model.design[rows[j]], fit.covariance)
             hat /= model.sigma[at] * model.sigma[rows[j]]
@@ -164,7 +141,7 @@ def _smallest_exclusion(model: LinearModel, candidate: Booleans, most: int, fals
     for size in range(2, 4):
         if size >= most or n - size < n - n // 2 or (size == 3 and n > _MOST_OF_THREES):
             break
-        chosen = rows[_best_pair(v, redundancy) if size == 2 else _best_triple(v, redundancy)]
+        chosen = rows[_best_exclusion(v, redundancy, size)]
         if chosen.size == 0:
             continue
         used = candidate.copy()
@@ -178,38 +155,19 @@ def _smallest_exclusion(model: LinearModel, candidate: Booleans, most: int, fals
 
 
 @compiled
-def _pair_reduction(v: Floats, redundancy: Floats, i: int, j: int) -> tuple[float, float]:
-    """Determinant of the redundancy of two rows, and the fall of χ² without them; zero where they cannot be tested."""
-    a, b, c = redundancy[i, i], redundancy[i, j], redundancy[j, j]
-    determinant = a * c - b * b
-    if not determinant > _TESTABLE:
-        return determinant, 0.0
-    return determinant, (c * v[i] * v[i] - 2.0 * b * v[i] * v[j] + a * v[j] * v[j]) / determinant
-
-
-@compiled
-def _best_pair(v: Floats, redundancy: Floats) -> Integers:
-    """The two rows whose exclusion lowers χ² most; empty where no pair can be tested."""
+def _best_exclusion(v: Floats, redundancy: Floats, size: int) -> Integers:
+    """The two or three rows whose exclusion lowers χ² most; empty where none can be tested."""
     n, best, greatest = v.size, np.empty(0, np.int64), 0.0
     for i in range(n):
         for j in range(i):
-            _, lost = _pair_reduction(v, redundancy, i, j)
-            if lost > greatest:
-                greatest, best = lost, np.array([j, i])
-    return best
-
-
-@compiled
-def _best_triple(v: Floats, redundancy: Floats) -> Integers:
-    """The three rows whose exclusion lowers χ² most; empty where no triple can be tested."""
-    n, best, greatest = v.size, np.empty(0, np.int64), 0.0
-    for i in range(n):
-        for j in range(i):
-            determinant, lost = _pair_reduction(v, redundancy, i, j)
+            a, b, c = redundancy[i, i], redundancy[i, j], redundancy[j, j]
+            determinant = a * c - b * b
             if not determinant > _TESTABLE:
                 continue
-            a, b, c = redundancy[i, i], redundancy[i, j], redundancy[j, j]
-            for k in range(j):
+            lost = (c * v[i] * v[i] - 2.0 * b * v[i] * v[j] + a * v[j] * v[j]) / determinant
+            if size == 2 and lost > greatest:
+                greatest, best = lost, np.array([j, i])
+            for k in range(j if size == 3 else 0):
                 d, e = redundancy[i, k], redundancy[j, k]
                 # The third row given the other two: its remaining redundancy and its residual.
                 f, g = (c * d - b * e) / determinant, (a * e - b * d) / determinant
@@ -222,7 +180,7 @@ def _best_triple(v: Floats, redundancy: Floats) -> Integers:
 
 
 @compiled
-def is_suspect(fit: _LinearEstimate, w_squared: float, count: int, false_alarm: float) -> bool:
+def is_suspect(fit: RobustFit, w_squared: float, count: int, false_alarm: float) -> bool:
     """Whether χ², or the largest of `count` normalised residuals, is too large for chance."""
     if chi_squared_survival(fit.chi_squared, fit.degrees) < false_alarm:
         return True
@@ -252,12 +210,12 @@ def chi_squared_survival(chi_squared: float, degrees: int) -> float:
 
 
 @compiled
-def _residual(model: LinearModel, row: int, fit: _LinearEstimate) -> float:
+def _residual(model: LinearModel, row: int, value: Floats) -> float:
     """Observed minus fitted; NaN where the row has an unknown that no row in use has."""
     total = 0.0
-    for a in range(fit.value.size):
+    for a in range(value.size):
         if model.design[row, a] != 0.0:
-            total += model.design[row, a] * fit.value[a]
+            total += model.design[row, a] * value[a]
     return float(model.observed[row] - total)
 
 
@@ -275,7 +233,7 @@ def _fitted_covariance(one: Floats, other: Floats, covariance: Floats) -> float:
 
 
 @compiled
-def _largest_residual(model: LinearModel, used: Booleans, fit: _LinearEstimate) -> tuple[int, float]:
+def _largest_residual(model: LinearModel, used: Booleans, fit: RobustFit) -> tuple[int, float]:
     """The row of the largest normalised residual and its square; −1 where none can be tested."""
     worst, greatest = -1, 0.0
     for i in range(model.observed.size):
@@ -284,7 +242,7 @@ def _largest_residual(model: LinearModel, used: Booleans, fit: _LinearEstimate) 
         variance = model.sigma[i] * model.sigma[i]
         redundant = variance - _fitted_covariance(model.design[i], model.design[i], fit.covariance)
         if redundant > _TESTABLE * variance:
-            v = _residual(model, i, fit)
+            v = _residual(model, i, fit.value)
             w_squared = v * v / redundant
             if w_squared > greatest:
                 worst, greatest = i, w_squared
@@ -293,13 +251,13 @@ def _largest_residual(model: LinearModel, used: Booleans, fit: _LinearEstimate) 
 
 @compiled
 def _row_to_readmit(
-    model: LinearModel, excluded: Booleans, fit: _LinearEstimate, count: int, false_alarm: float
+    model: LinearModel, excluded: Booleans, fit: RobustFit, count: int, false_alarm: float
 ) -> int:
     """The excluded row that agrees best with the fit of the others, if well enough; −1 else."""
     best, least = -1, np.inf
     for i in range(model.observed.size):
         if excluded[i]:
-            v = _residual(model, i, fit)
+            v = _residual(model, i, fit.value)
             predicted = _fitted_covariance(model.design[i], model.design[i], fit.covariance)
             w_squared = v * v / (model.sigma[i] * model.sigma[i] + predicted)
             # NaN where no row that is used has one of its unknowns.
@@ -311,7 +269,7 @@ def _row_to_readmit(
 
 
 @compiled
-def _solve(model: LinearModel, used: Booleans) -> _LinearEstimate:
+def _solve(model: LinearModel, used: Booleans) -> RobustFit:
     """Weighted least squares of the rows in use, by Cholesky decomposition of the normal equations."""
     design, sigma, prior_sigma = model.design, model.sigma, model.prior_sigma
     n, p = design.shape
@@ -338,13 +296,13 @@ def _solve(model: LinearModel, used: Booleans) -> _LinearEstimate:
             normal[a, a] += 1.0 / (prior_sigma[a] * prior_sigma[a])
         else:
             free += 1
-    value, covariance = np.full(p, np.nan), np.full((p, p), np.nan)
     if rows < free or rows == 0:
-        return _LinearEstimate(TOO_FEW, value, covariance, np.nan, degrees=0)
+        return empty_fit(TOO_FEW, n, p)
     inverse = _inverse_of_lower(normal)
     if inverse.shape[0] == 0:
-        return _LinearEstimate(DEGENERATE, value, covariance, np.nan, degrees=0)
+        return empty_fit(DEGENERATE, n, p)
     # C = L⁻ᵀ L⁻¹, x = C b.
+    value, covariance = np.full(p, np.nan), np.full((p, p), np.nan)
     for a in range(p):
         for b in range(a + 1):
             if active[a] and active[b]:
@@ -360,16 +318,15 @@ def _solve(model: LinearModel, used: Booleans) -> _LinearEstimate:
                 if active[b]:
                     total += covariance[a, b] * right[b]
             value[a] = total
-    fit = _LinearEstimate(OK, value, covariance, 0.0, degrees=rows - free)
     chi_squared = 0.0
     for i in range(n):
         if used[i]:
-            v = _residual(model, i, fit) / sigma[i]
+            v = _residual(model, i, value) / sigma[i]
             chi_squared += v * v
     for a in range(p):
         if active[a] and prior_sigma[a] < np.inf:
             chi_squared += (value[a] / prior_sigma[a]) ** 2
-    return _LinearEstimate(OK, value, covariance, chi_squared, degrees=rows - free)
+    return RobustFit(OK, value, covariance, used=used, chi_squared=chi_squared, degrees=rows - free)
 
 
 @compiled

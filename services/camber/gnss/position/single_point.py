@@ -71,7 +71,6 @@ _UNKNOWNS = 9  # x, y, z, three clocks, the vertical ionosphere and its gradient
 _SHELL_RATIO = 6371.0 / (6371.0 + 350.0)
 _COARSE_STEPS, _FINE_STEPS = 15, 10  # chosen: from the earth's centre six steps converge
 _COARSE_M = 1000.0  # chosen: the fine steps converge from a kilometre
-_NO_START_M = 1.0e5  # chosen: a start farther off sees other satellites above its mask
 _FINE_M = 10.0  # derived: within it a linear step errs by 10² / 4e7 m
 _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above any road
 
@@ -112,8 +111,7 @@ class SinglePoint:
     `position_ecef_m` (3,), `covariance_ecef_m2` (3, 3), `clock_m` (3,) by `SYSTEMS` (receiver clock minus system time,
     times c) are NaN unless the status is `ok`, a clock also where its group was not used. `approximate_ecef_m` is the
     last iterate, consistent or not, for linearisation only. `used` went into the position, `excluded` are outliers;
-    neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. Elevation and residuals are NaN where they
-    are not known.
+    neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. An elevation is NaN where it is not known.
     """
 
     time_ns: int
@@ -129,17 +127,13 @@ class SinglePoint:
     states: SatelliteStates
     used: Booleans
     excluded: Booleans
-    residual_m: Floats
     elevation_rad: Floats
 
 
 def single_point(
-    epoch: ObservationEpoch,
-    ephemerides: EphemerisStore,
-    ionosphere: Floats = NO_IONOSPHERE,
-    start_ecef_m: Floats | None = None,
+    epoch: ObservationEpoch, ephemerides: EphemerisStore, ionosphere: Floats = NO_IONOSPHERE
 ) -> SinglePoint:
-    """Position of an epoch; `ionosphere` (8,) as in `klobuchar_m`, a start (3,) where one is known to some km.
+    """Position of an epoch; `ionosphere` (8,) as in `klobuchar_m`.
 
     Never raises for what an epoch holds: no satellites, many, the same twice, NaN.
     """
@@ -150,9 +144,8 @@ def single_point(
     rows = _rows_of(
         columns_of(epoch), codes.row, states, ephemeris=ephemeris, group_delay_s=table.group_delay_s
     )
-    start = np.zeros(3) if start_ecef_m is None else start_ecef_m
     of_week_s = epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND
-    status, converged, at, fit = _iterate(rows, start, ionosphere, of_week_s)
+    status, converged, at, fit = _iterate(rows, ionosphere, of_week_s)
     ok, tested = status == OK, status in (OK, INCONSISTENT)
     return SinglePoint(
         time_ns=epoch.time_ns,
@@ -168,7 +161,6 @@ def single_point(
         states=states,
         used=fit.used & tested,
         excluded=rows.candidate & ~fit.used & tested,
-        residual_m=fit.residual,
         elevation_rad=rows.elevation_rad,
     )
 
@@ -251,19 +243,13 @@ def _rows_of(
 
 
 @compiled
-def _iterate(
-    rows: _Rows, start_ecef_m: Floats, ionosphere: Floats, of_week_s: float
-) -> tuple[int, bool, Floats, RobustFit]:
-    """Coarse position where there is no start, then Gauss-Newton steps with outlier exclusion.
+def _iterate(rows: _Rows, ionosphere: Floats, of_week_s: float) -> tuple[int, bool, Floats, RobustFit]:
+    """Coarse position, then Gauss-Newton steps with outlier exclusion.
 
     Returns status, whether the steps converged, the position (3,) and the last fit.
     """
-    at = start_ecef_m.copy()
-    status = OK
-    started = _is_near_the_ground(at)
-    if not started:
-        at[:] = 0.0
-        status = _coarse_position(rows, at)
+    at = np.zeros(3)
+    status = _coarse_position(rows, at)
     fit = empty_fit(OK, rows.measurable.size, _UNKNOWNS)
     converged = False
     for _ in range(_FINE_STEPS):
@@ -272,12 +258,6 @@ def _iterate(
         _linearise(rows, at, ionosphere, of_week_s)
         fit = consistent_fit(rows.model, rows.candidate, _FALSE_ALARM)
         step = math.sqrt(fit.value[0] ** 2 + fit.value[1] ** 2 + fit.value[2] ** 2)
-        if started and not step < _NO_START_M:
-            # The start was useless: from there satellites were below the horizon.
-            started = False
-            at[:] = 0.0
-            status = _coarse_position(rows, at)
-            continue
         if fit.status != OK and fit.status != INCONSISTENT:
             status = fit.status
             break
@@ -285,7 +265,8 @@ def _iterate(
             status = DEGENERATE
             break
         at += fit.value[:3]
-        if not _is_near_the_ground(at):
+        radius = math.sqrt(at[0] ** 2 + at[1] ** 2 + at[2] ** 2)
+        if not _LOWEST_RADIUS_M < radius < _GREATEST_RADIUS_M:
             status = _NO_CONVERGENCE
         elif step < _FINE_M:
             converged = True
@@ -297,14 +278,8 @@ def _iterate(
 
 
 @compiled
-def _is_near_the_ground(ecef_m: Floats) -> bool:
-    radius = math.sqrt(ecef_m[0] ** 2 + ecef_m[1] ** 2 + ecef_m[2] ** 2)
-    return _LOWEST_RADIUS_M < radius < _GREATEST_RADIUS_M
-
-
-@compiled
 def _coarse_position(rows: _Rows, at: Floats) -> int:
-    """From anywhere to some km of the solution with equal weights and no atmosphere; `at` is moved there."""
+    """From the earth's centre to some km of the solution with equal weights and no atmosphere; `at` is moved there."""
     m, direction = rows.measurable.size, np.empty(3)
     model = empty_model(m, 6)
     for _ in range(_COARSE_STEPS):

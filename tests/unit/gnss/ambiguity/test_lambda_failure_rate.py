@@ -34,16 +34,9 @@ def failing(covariance: Floats, failure: float) -> Floats:
 @pytest.mark.parametrize(
     ("satellites", "bands", "failure"),
     [
-        (5, 1, 0.05),
-        (5, 1, 0.4),
-        (7, 1, 0.1),
-        (5, 2, 0.03),
-        (8, 1, 0.3),
-        (8, 2, 0.1),
-        (10, 2, 0.02),
-        (9, 3, 0.015),
+        (5, 1, 0.05), (5, 1, 0.4), (7, 1, 0.1), (5, 2, 0.03), (8, 1, 0.3), (8, 2, 0.1), (10, 2, 0.02), (9, 3, 0.015),
     ],
-)
+)  # fmt: skip
 def test_wrong_integers_are_taken_no_more_often_than_the_failure_rate(
     satellites: int, bands: int, failure: float, failure_rate: float
 ) -> None:
@@ -71,10 +64,8 @@ def test_wrong_integers_are_taken_no_more_often_than_the_failure_rate(
 def test_between_entries_the_strictest_neighbour_counts() -> None:
     for failure_rate in (0.001, 0.01):
         for count in range(1, 26):
-            ratios = [
-                ratio_for_failure_rate(count, failure, failure_rate)
-                for failure in np.linspace(0.0, 0.6, 200).tolist()
-            ]
+            failures = np.linspace(0.0, 0.6, 200).tolist()
+            ratios = [ratio_for_failure_rate(count, failure, failure_rate) for failure in failures]
             assert ratios == sorted(ratios)
             assert ratios[0] == 1.0
             assert ratios[-1] == math.inf
@@ -90,14 +81,9 @@ def test_between_entries_the_strictest_neighbour_counts() -> None:
 @pytest.mark.parametrize(
     ("count", "failure", "failure_rate"),
     [
-        (10, 0.51, 0.01),
-        (26, 0.02, 0.01),
-        (25, 0.03, 0.01),
-        (0, 0.02, 0.01),
-        (10, 0.02, 0.0009),
-        (10, math.nan, 0.01),
+        (10, 0.51, 0.01), (26, 0.02, 0.01), (25, 0.03, 0.01), (0, 0.02, 0.01), (10, 0.02, 0.0009), (10, math.nan, 0.01),
     ],
-)
+)  # fmt: skip
 def test_outside_the_table_nothing_is_accepted(count: int, failure: float, failure_rate: float) -> None:
     assert ratio_for_failure_rate(count, failure, failure_rate) == math.inf
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -41,35 +40,30 @@ def estimate(**changed: Any) -> Any:
     return SOLVED.estimate._replace(**changed)
 
 
-def solution(**changed: Any) -> Solution:
-    return replace(
-        SOLVED,
-        position_ecef_m=PLACE,
-        covariance_ecef_m2=np.diag([1e-4, 4e-4, 9e-4]),
-        satellites=11,
-        ratio=7.5,
-        age_s=0.1,
-        continuity="continuous",
-        continuous_since_ns=TIME_NS - NS,
-        **changed,
-    )
+FIXED = replace(
+    SOLVED,
+    position_ecef_m=PLACE,
+    covariance_ecef_m2=np.diag([1e-4, 4e-4, 9e-4]),
+    satellites=11,
+    ratio=7.5,
+    age_s=-0.1,
+    continuity="continuous",
+    continuous_since_ns=TIME_NS - NS,
+)
+SINGLE = Solution(
+    time_ns=TIME_NS,
+    quality="single",
+    reason="base_too_old",
+    position_ecef_m=PLACE,
+    covariance_ecef_m2=np.eye(3),
+    satellites=8,
+)
 
 
 def published(solved: Solution, datum: str = "WGS84", **given: Any) -> Fix:
     fix = fix_from_solution(solved, datum, **given)
     assert fix is not None
     return fix
-
-
-def single_point_solution(reason: str) -> Solution:
-    return Solution(
-        time_ns=TIME_NS,
-        quality="single",
-        reason=reason,
-        position_ecef_m=PLACE,
-        covariance_ecef_m2=np.eye(3),
-        satellites=8,
-    )
 
 
 def rotated(covariance: np.ndarray) -> np.ndarray:
@@ -79,15 +73,13 @@ def rotated(covariance: np.ndarray) -> np.ndarray:
     def at(dlat: float, dlon: float, dup: float) -> np.ndarray:
         return np.array(ecef_from_geodetic_scalar(LATITUDE + dlat, LONGITUDE + dlon, HEIGHT_M + dup))
 
-    axes = np.array(
-        [at(0, step, 0) - at(0, -step, 0), at(step, 0, 0) - at(-step, 0, 0), at(0, 0, 10.0) - at(0, 0, -10.0)]
-    )
+    axes = np.array([at(*d) - at(*(-np.array(d))) for d in ((0, step, 0), (step, 0, 0), (0, 0, 10.0))])
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     return axes @ covariance @ axes.T
 
 
 def test_every_field_of_a_fixed_epoch_is_published() -> None:
-    fix = published(solution(), datum="JGD2011", base_station="rtcm-7")
+    fix = published(FIXED, datum="JGD2011", base_station="rtcm-7", subset_agreement="agree")
     message = estimate()
     assert (fix.time_ns, fix.fix_id) == (SOLVED.time_ns, SOLVED.time_ns // 1_000_000)
     assert (fix.origin, fix.quality) == ("engine", "fixed")
@@ -98,58 +90,51 @@ def test_every_field_of_a_fixed_epoch_is_published() -> None:
     assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, message.fixed)
     assert fix.success_rate == message.success_rate
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("continuous", TIME_NS - NS)
-    assert (fix.phase_residuals, fix.subset_agreement) == ("consistent", "unknown")
+    assert (fix.phase_residuals, fix.subset_agreement) == ("consistent", "agree")
     assert fix.covariance_enu_m2 is not None
 
 
-@pytest.mark.parametrize("agreement", ["agree", "disagree", "unknown"])
-def test_the_agreement_of_its_subsets_is_published_with_the_fix(agreement: Any) -> None:
-    assert published(solution(), subset_agreement=agreement).subset_agreement == agreement
+@pytest.mark.parametrize(
+    ("quality", "of_estimate", "residuals"),
+    [
+        ("float", {"status": 1}, "unknown"),
+        ("float", {"status": CONTRADICTORY}, "contradictory"),
+        ("fixed", {"phase_freedom": 0}, "unknown"),  # no more phases than unknowns
+    ],
+)
+def test_what_is_not_fixed_or_not_tested_is_published_so(
+    quality: Any, of_estimate: dict[str, int], residuals: str
+) -> None:
+    fix = published(replace(FIXED, quality=quality, estimate=estimate(**of_estimate)))
+    assert (fix.quality, fix.phase_residuals) == (quality, residuals)
+    assert (fix.ambiguities_fixed is None) == (fix.success_rate is None) == (quality == "float")
 
 
-def test_an_epoch_that_is_not_fixed_has_no_fixed_ambiguities() -> None:
-    fix = published(solution(quality="float", estimate=estimate(status=1)))
-    assert (fix.quality, fix.phase_residuals) == ("float", "unknown")
-    assert (fix.ambiguities_fixed, fix.success_rate) == (None, None)
-
-
-def test_a_position_of_the_rover_alone_has_no_ratio_and_no_age() -> None:
-    fix = published(single_point_solution("no_base"))
+def test_a_position_of_the_rover_alone_has_no_ratio_and_no_age_and_without_one_there_is_no_fix() -> None:
+    fix = published(SINGLE)
     unknown = (fix.ratio, fix.age_of_corrections_s, fix.ambiguities_fixed, fix.success_rate)
     assert (fix.quality, *unknown) == ("single", None, None, None, None)
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("no_evidence", None)
-
-
-def test_residuals_are_known_only_where_there_are_more_phases_than_unknowns() -> None:
-    untested = published(solution(estimate=estimate(phase_freedom=0)))
-    assert untested.phase_residuals == "unknown"
-    refuted = published(solution(quality="float", estimate=estimate(status=CONTRADICTORY)))
-    assert (refuted.quality, refuted.phase_residuals) == ("float", "contradictory")
-
-
-def test_corrections_from_after_the_epoch_are_as_old_as_they_are_young() -> None:
-    assert published(replace(solution(), age_s=-0.25)).age_of_corrections_s == 0.25
-
-
-def test_an_epoch_without_a_position_is_no_fix() -> None:
     nowhere = Solution(time_ns=TIME_NS, quality="none", reason="too_few_satellites")
     assert fix_from_solution(nowhere, "WGS84") is None
 
 
 def test_a_position_that_nobody_can_have_is_refused() -> None:
-    with pytest.raises(ValidationError):
-        fix_from_solution(replace(solution(), position_ecef_m=1e4 * PLACE), "WGS84")
-    with pytest.raises(ValidationError):
-        fix_from_solution(replace(solution(), covariance_ecef_m2=np.full((3, 3), np.nan)), "WGS84")
+    impossible: tuple[dict[str, Any], ...] = (
+        {"position_ecef_m": 1e4 * PLACE},
+        {"covariance_ecef_m2": np.full((3, 3), np.nan)},
+    )
+    for changed in impossible:
+        with pytest.raises(ValidationError):
+            fix_from_solution(replace(FIXED, **changed), "WGS84")
 
 
 def test_a_covariance_is_turned_as_the_axes_are() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         half = rng.normal(size=(3, 3))
-        covariance = half @ half.T
-        expected = rotated(covariance)
-        assert enu_covariance(PLACE, covariance) == pytest.approx(expected[np.triu_indices(3)], abs=1e-6)
+        expected = rotated(half @ half.T)[np.triu_indices(3)]
+        assert enu_covariance(PLACE, half @ half.T) == pytest.approx(expected, abs=1e-6)
 
 
 def test_velocity_and_heading_are_published_with_their_errors() -> None:
@@ -160,9 +145,7 @@ def test_velocity_and_heading_are_published_with_their_errors() -> None:
         covariance_enu_m2_s2=np.array([[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]),
         hdop=1.25,
     )
-    heading = HeadingEstimate(
-        time_ns=TIME_NS, heading_rad=2.5, rate_rad_s=0.0, heading_sigma_rad=0.01, rate_sigma_rad_s=0.1
-    )
+    heading = HeadingEstimate(heading_rad=2.5, heading_sigma_rad=0.01)
     published = velocity_from(moving, heading)
     assert published is not None
     assert published.time_ns == SOLVED.time_ns
@@ -209,10 +192,17 @@ def test_observations_say_by_a_bit_each_what_a_row_has() -> None:
         expected[row] = 0.0  # and the bit says that it is none
         assert getattr(published, column).tolist() == expected
     assert published.lock_time_ns.tolist() == [500_000 + n * NS for n in range(4)] + [0, 5 * NS + 500_000]
-
-
-def test_an_epoch_without_rows_is_published_too() -> None:
     assert observations_from(observed(0), "rover").satellite.size == 0
+
+
+SOLVED_ID = SOLVED.time_ns // 1_000_000
+
+
+def recent(*solutions: Solution) -> RecentEpochs:
+    epochs = RecentEpochs(EngineSettings())
+    for each in solutions:
+        epochs.keep(each)
+    return epochs
 
 
 def ask(epochs: RecentEpochs, fix_id: int, **request: Any) -> Any:
@@ -220,9 +210,8 @@ def ask(epochs: RecentEpochs, fix_id: int, **request: Any) -> Any:
 
 
 def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
-    epochs = RecentEpochs(EngineSettings())
-    epochs.keep(SOLVED)
-    answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=6)
+    epochs = recent(SOLVED)
+    answer = ask(epochs, SOLVED_ID, maximum_trials=6)
     assert (answer.status, answer.trials, answer.reason) == ("available", 6, "")
     assert 1 <= len(answer.candidates) <= 6
     assert SOLVED.position_ecef_m is not None
@@ -233,15 +222,12 @@ def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
         assert candidate.ambiguities >= EngineSettings().least_fixed
         assert candidate.ratio >= EngineSettings().least_ratio
     named = answer.candidates[0].excluded_satellites
-    fix_id = SOLVED.time_ns // 1_000_000
-    (one,) = ask(epochs, fix_id, strategy="explicit", excluded_satellites=named).candidates
+    (one,) = ask(epochs, SOLVED_ID, strategy="explicit", excluded_satellites=named).candidates
     assert one.excluded_satellites == named
 
 
 def test_an_epoch_is_remembered_for_twenty_more_and_then_forgotten() -> None:
-    epochs = RecentEpochs(EngineSettings())
-    for n in range(21):
-        epochs.keep(replace(SOLVED, time_ns=TIME_NS + n * NS // 10))
+    epochs = recent(*(replace(SOLVED, time_ns=TIME_NS + n * NS // 10) for n in range(21)))
     first, second = TIME_NS // 1_000_000, TIME_NS // 1_000_000 + 100
     assert ask(epochs, first).status == "forgotten"
     assert ask(epochs, first).reason == "not among the last 20 epochs"
@@ -249,9 +235,7 @@ def test_an_epoch_is_remembered_for_twenty_more_and_then_forgotten() -> None:
 
 
 def test_an_epoch_without_differences_says_why_there_are_no_estimates() -> None:
-    epochs = RecentEpochs(EngineSettings())
-    epochs.keep(single_point_solution("base_too_old"))
-    answer = ask(epochs, TIME_NS // 1_000_000)
+    answer = ask(recent(SINGLE), TIME_NS // 1_000_000)
     assert (answer.status, answer.reason, answer.candidates) == ("unavailable", "base_too_old", ())
 
 
@@ -267,13 +251,8 @@ def test_no_more_candidates_are_published_than_an_answer_can_hold(monkeypatch: p
         agreeing=3,
     )
 
-    def many(*_: object, **__: object) -> tuple[int, Sequence[SubsetCandidate]]:
-        return 150, [other] * 150
-
-    monkeypatch.setattr(engine_side, "subset_candidates", many)
-    epochs = RecentEpochs(EngineSettings())
-    epochs.keep(SOLVED)
-    answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=150)
+    monkeypatch.setattr(engine_side, "subset_candidates", lambda *_, **__: (150, [other] * 150))
+    answer = ask(recent(SOLVED), SOLVED_ID, maximum_trials=150)
     assert (answer.trials, len(answer.candidates)) == (150, 100)
     first = answer.candidates[0]
     assert (first.ambiguities, first.ratio, first.agreeing_subsets) == (8, 1e9, 3)

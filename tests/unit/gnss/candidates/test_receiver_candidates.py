@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import replace
 
 import pytest
 
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
-from camber.schemas.gnss import Fix, Quality
+from camber.schemas.gnss import Fix
 
 NS = 1_000_000_000
 TIME_NS = 1_373_000_000 * NS
@@ -53,30 +52,6 @@ def test_what_the_receiver_did_not_say_stays_unknown() -> None:
 
 def test_the_station_of_the_corrections_is_named_as_the_receiver_calls_it() -> None:
     assert fix_from(replace(SOLUTION, station="VRS 1"), "WGS84").base_station == "station-VRS_1"
-
-
-@pytest.mark.parametrize(
-    ("quality", "published"),
-    [
-        (SolutionQuality.FIX, "fixed"),
-        (SolutionQuality.FLOAT, "float"),
-        (SolutionQuality.SBAS, "sbas"),
-        (SolutionQuality.DGPS, "dgps"),
-        (SolutionQuality.SINGLE, "single"),
-        (SolutionQuality.PPP, "ppp"),
-        (SolutionQuality.DEAD_RECKONING, "estimated"),
-    ],
-)
-def test_every_quality_is_published(quality: SolutionQuality, published: str) -> None:
-    assert published in typing.get_args(Quality)
-    assert fix_from(replace(SOLUTION, quality=quality), "WGS84").quality == published
-
-
-def test_epochs_of_one_receiver_have_different_ids_which_a_restart_does_not_change() -> None:
-    ids = [fix_from(replace(SOLUTION, time_ns=TIME_NS + n * 10_000_000), "W").fix_id for n in range(100)]
-    assert len(set(ids)) == 100
-    assert ids == sorted(ids)
-    assert fix_from(replace(SOLUTION), "W").fix_id == ids[0]
 
 
 @pytest.mark.parametrize(

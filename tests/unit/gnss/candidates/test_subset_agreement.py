@@ -89,15 +89,15 @@ def test_only_a_subset_that_could_be_a_fix_itself_speaks_against_one():
     assert subset_agreement(fixed(made_up()), unsure) == "agree"
 
 
-@pytest.mark.parametrize("quality", ["float", "single", "none"])
-def test_what_is_no_fix_has_no_subsets(quality):
-    assert subset_agreement(fixed(made_up(), quality=quality), LIMITS) == "unknown"
-
-
-@pytest.mark.parametrize("lacking", ["position_ecef_m", "covariance_ecef_m2", "rows"])
-def test_a_fix_without_rows_has_none(lacking):
-    lacks: dict[str, Any] = {lacking: None}
-    assert subset_agreement(replace(fixed(made_up()), **lacks), LIMITS) == "unknown"
+@pytest.mark.parametrize(
+    "changed",
+    [
+        *({"quality": quality} for quality in ("float", "single", "none")),
+        *({lacking: None} for lacking in ("position_ecef_m", "covariance_ecef_m2", "rows")),
+    ],
+)
+def test_what_is_no_fix_or_has_no_rows_has_no_subsets(changed):
+    assert subset_agreement(replace(fixed(made_up()), **changed), LIMITS) == "unknown"
 
 
 def test_one_system_alone_has_no_second_opinion():

@@ -14,8 +14,7 @@ from camber.schemas.base import Name
 from support.canyon_statistics import FRAME
 from support.engine_drives import base_ecef_m, open_sky_drive, some_rows
 
-UP = FRAME.enu_from_ecef_rotation()[2]
-EAST = FRAME.enu_from_ecef_rotation()[0]
+EAST, _, UP = FRAME.enu_from_ecef_rotation()
 
 
 @functools.cache
@@ -31,9 +30,8 @@ def coordinate_of(position_m, epoch=None, store=None) -> str:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_true_coordinate_is_plausible_at_any_time_of_day(seed):
-    d = open_sky_drive(
-        seed=seed, seconds=1, begin_ns=drive().base[0].time_ns + seed * 5 * 3600 * NS_PER_SECOND
-    )
+    begin_ns = drive().base[0].time_ns + seed * 5 * 3600 * NS_PER_SECOND
+    d = open_sky_drive(seed=seed, seconds=1, begin_ns=begin_ns)
     assert coordinate_of(base_ecef_m(), d.base[0], d.store) == "plausible"
 
 
@@ -71,18 +69,15 @@ def test_a_coordinate_that_is_put_right_is_looked_at_at_once():
 
 def test_it_is_looked_at_every_ten_seconds_and_with_every_epoch_while_it_is_wrong():
     d = open_sky_drive(seed=4, seconds=25)
-    checks = []
-    wrong = base_ecef_m() + 450.0 * EAST
-    for position in (base_ecef_m(), wrong):
-        base, checked = BaseStation(position), []
+    for off_m, expected in ((0.0, [0, 10, 20]), (450.0, list(range(25)))):
+        base, checked = BaseStation(base_ecef_m() + off_m * EAST), []
         for second, epoch in enumerate(d.base):
             base.miss_m = None
             base.add(epoch)
             base.coordinate(d.store, NO_IONOSPHERE)
             if base.miss_m is not None:
                 checked.append(second)
-        checks.append(checked)
-    assert checks == [[0, 10, 20], list(range(25))]
+        assert checked == expected
 
 
 def test_late_epochs_are_not_taken():

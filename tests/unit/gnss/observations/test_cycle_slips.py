@@ -14,6 +14,7 @@ from camber.formats.observations import (
 )
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.gnss.observations.cycle_slips import REASONS, CycleSlipDetector
+from support.engine_drives import some_rows
 
 SIGNALS = [
     *(f"G{n:02d}:{code}" for n in (1, 7, 12, 32) for code in ("1C", "2L", "5Q")),
@@ -39,21 +40,26 @@ def drive(rate_hz: int, count: int, *, seed: int = 1, noisy: bool = True) -> lis
         range_m = (2.2e7 + speed * t + swing + 300.0 * t)[of]
         rate_m_s = (speed + 6.0 * np.cos(0.5 * t + phase) + 300.0)[of]
         noise = (0.003 * rng.normal(size=len(of)), 0.05 * rng.normal(size=len(of))) if noisy else (0.0, 0.0)
-        epochs.append(
-            ObservationEpoch(
-                time_ns=START_NS + round(t * 1e9),
-                satellite=NAMES,
-                signal=CODES,
-                pseudorange_m=range_m,
-                carrier_phase_cycles=(range_m + noise[0]) / WAVELENGTH_M + 1234,
-                doppler_hz=-(rate_m_s + noise[1]) / WAVELENGTH_M,
-                cn0_dbhz=np.full(len(of), 45.0),
-                lock_time_s=np.full(len(of), 30.0 + t),
-                loss_of_lock=np.zeros(len(of), np.bool_),
-                half_cycle=np.zeros(len(of), np.bool_),
-            )
+        epoch = ObservationEpoch(
+            time_ns=START_NS + round(t * 1e9),
+            satellite=NAMES,
+            signal=CODES,
+            pseudorange_m=range_m,
+            carrier_phase_cycles=(range_m + noise[0]) / WAVELENGTH_M + 1234,
+            doppler_hz=-(rate_m_s + noise[1]) / WAVELENGTH_M,
+            cn0_dbhz=np.full(len(of), 45.0),
+            lock_time_s=np.full(len(of), 30.0 + t),
+            loss_of_lock=np.zeros(len(of), np.bool_),
+            half_cycle=np.zeros(len(of), np.bool_),
         )
+        epochs.append(epoch)
     return epochs
+
+
+def slipped(epochs: list[ObservationEpoch], rows, cycles, begin: int = 4) -> list[ObservationEpoch]:
+    """More cycles in some rows from an epoch on."""
+    after = [changed(e, "carrier_phase_cycles", rows, lambda v: v + cycles) for e in epochs[begin:]]
+    return epochs[:begin] + after
 
 
 def changed(epoch: ObservationEpoch, name: str, rows, change) -> ObservationEpoch:
@@ -67,10 +73,8 @@ def broken_in(epochs: list[ObservationEpoch]) -> tuple[list[str], dict[str, int]
     tracker = CycleSlipDetector()
     arcs = [tracker.update(epoch) for epoch in epochs]
     broken = [SIGNALS[i] for i in range(len(SIGNALS)) if len({a[i] for a in arcs} - {0}) > 1]
-    reasons = {
-        r: int(n) for r, n in zip(REASONS, tracker.begun, strict=True) if n and r not in ("new", "continuous")
-    }
-    return broken, reasons, arcs
+    begun = dict(zip(REASONS, tracker.begun.tolist(), strict=True))
+    return broken, {r: n for r, n in begun.items() if n and r not in ("new", "continuous")}, arcs
 
 
 @pytest.mark.parametrize("rate_hz", [1, 5, 10])
@@ -114,10 +118,7 @@ def test_a_half_cycle_that_comes_and_goes_breaks_twice():
 @pytest.mark.parametrize("cycles", [1, -1, 3])
 def test_an_unflagged_slip_breaks_the_bands_of_its_satellite(rate_hz, cycles):
     """Which band slipped is not known from their difference; where the Doppler knows, only that one breaks."""
-    epochs = drive(rate_hz, 8)
-    for k in range(4, 8):
-        epochs[k] = changed(epochs[k], "carrier_phase_cycles", [4], lambda v: v + cycles)
-    broken, reasons, _ = broken_in(epochs)
+    broken, reasons, _ = broken_in(slipped(drive(rate_hz, 8), [4], cycles))
     if rate_hz == 10:
         assert (broken, reasons) == (["G07:2L"], {"doppler": 1})
     else:
@@ -127,39 +128,25 @@ def test_an_unflagged_slip_breaks_the_bands_of_its_satellite(rate_hz, cycles):
 
 
 def test_a_slip_of_the_same_length_in_all_bands_is_seen_by_the_doppler():
-    epochs = drive(10, 8)
-    rows = [3, 4, 5]
-    for k in range(4, 8):
-        epochs[k] = changed(epochs[k], "carrier_phase_cycles", rows, lambda v: v + 5.0 / WAVELENGTH_M[rows])
+    epochs = slipped(drive(10, 8), [3, 4, 5], 5.0 / WAVELENGTH_M[3:6])
     assert broken_in(epochs)[:2] == (["G07:1C", "G07:2L", "G07:5Q"], {"doppler": 3})
 
 
 def test_the_order_of_a_satellites_bands_does_not_say_what_breaks():
-    epochs = drive(1, 6)
-    for k in range(3, 6):
-        epochs[k] = changed(epochs[k], "carrier_phase_cycles", [1], lambda v: v + 1)
+    epochs = slipped(drive(1, 6), [1], 1.0, begin=3)
     without = [replace(e, doppler_hz=np.full(len(SIGNALS), np.nan)) for e in epochs]
     assert broken_in(without)[0] == ["G01:1C", "G01:2L", "G01:5Q"]
     for order in ([1, 0, 2], [2, 1, 0], [0, 2, 1]):
-        rows = np.array(order + list(range(3, len(SIGNALS))))
-        tracker, arcs = CycleSlipDetector(), []
-        for e in without:
-            columns = {f: getattr(e, f)[rows] for f in e.__dataclass_fields__ if f != "time_ns"}
-            arcs.append(tracker.update(ObservationEpoch(time_ns=e.time_ns, **columns)))
+        rows, tracker = np.array(order + list(range(3, len(SIGNALS)))), CycleSlipDetector()
+        arcs = [tracker.update(some_rows(e, rows)) for e in without]
         assert [len({a[i] for a in arcs}) for i in range(4)] == [2, 2, 2, 1]
 
 
 @pytest.mark.parametrize("rate_hz", [1, 10])
 @pytest.mark.parametrize("step_ms", [1.0, -1.0, 0.5, 100.0])
 def test_a_step_of_the_receivers_clock_breaks_nothing(rate_hz, step_ms):
-    epochs = drive(rate_hz, 8)
     metres = step_ms * 1e-3 * SPEED_OF_LIGHT_M_S
-    for k in range(4, 8):
-        epochs[k] = replace(
-            epochs[k],
-            pseudorange_m=epochs[k].pseudorange_m + metres,
-            carrier_phase_cycles=epochs[k].carrier_phase_cycles + metres / WAVELENGTH_M,
-        )
+    epochs = slipped(drive(rate_hz, 8), slice(None), metres / WAVELENGTH_M)
     assert broken_in(epochs)[:2] == ([], {})
 
 
@@ -199,14 +186,12 @@ def test_another_code_of_the_band_is_another_signal():
 def test_lock_times_in_classes_break_nothing_while_they_grow(rate_hz):
     """MSM4 has the class only (DF402): 0, 32, 64, … ms, of half the true time at worst."""
     epochs = drive(rate_hz, 60, noisy=False)
-    for first_ms in (3.0, 40.0, 250.0, 700.0):
+    classes_s = np.array([0.0, *(0.032 * 2.0**n for n in range(15))])
+    for first_s in (0.003, 0.04, 0.25, 0.7):
         reported = []
         for k, e in enumerate(epochs):
-            true_ms = first_ms + 1000.0 * k / rate_hz
-            classes = np.array([0.0, *(32.0 * 2.0**n for n in range(15))])
-            reported.append(
-                replace(e, lock_time_s=np.full(len(SIGNALS), classes[classes <= true_ms][-1] * 1e-3))
-            )
+            lock_s = classes_s[classes_s <= first_s + k / rate_hz][-1]
+            reported.append(replace(e, lock_time_s=np.full(len(SIGNALS), lock_s)))
         assert broken_in(reported)[:2] == ([], {})
 
 
@@ -214,16 +199,10 @@ def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_th
     """A signal lost and found between each two epochs, one second apart, says 0.3 s each time."""
     epochs = [replace(e, lock_time_s=np.full(len(SIGNALS), 0.3)) for e in drive(1, 3)]
     assert broken_in(epochs)[1] == {"lock_time": 2 * len(SIGNALS)}
-    locks = LossOfLockDetector()
-    keys = np.arange(len(SIGNALS))
-    all_here = np.ones(len(SIGNALS), np.bool_)
-    lost = [
-        locks.detect(
-            e.time_ns, keys, has_phase=all_here, min_lock_s=e.lock_time_s, max_lock_s=e.lock_time_s + 1e-3
-        )
-        for e in epochs
-    ]
-    assert [bool(each.all()) for each in lost] == [False, True, True]  # the readers say the same
+    locks, keys, here = LossOfLockDetector(), np.arange(len(SIGNALS)), np.ones(len(SIGNALS), np.bool_)
+    for k, e in enumerate(epochs):  # the readers say the same
+        lock_s = {"min_lock_s": e.lock_time_s, "max_lock_s": e.lock_time_s + 1e-3}
+        assert locks.detect(e.time_ns, keys, has_phase=here, **lock_s).all() == (k > 0)
 
 
 def test_numbers_of_arcs_are_never_used_twice():

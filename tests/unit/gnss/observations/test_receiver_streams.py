@@ -29,11 +29,9 @@ def epochs(stream: str, received: list[tuple[str, Any]]) -> list[ObservationEpoc
 
 def table(epoch: ObservationEpoch) -> dict[tuple[int, int], list[float]]:
     """By satellite and band: u-blox names one of the channels of which RINEX has both (`1C`, `1X`)."""
-    columns = (epoch.pseudorange_m, epoch.carrier_phase_cycles, epoch.doppler_hz, epoch.cn0_dbhz)
-    rows = zip(
-        epoch.satellite.tolist(), epoch.signal.tolist(), *(column.tolist() for column in columns), strict=True
-    )
-    return {(satellite, signal >> 8): values for satellite, signal, *values in rows}
+    measured = (epoch.pseudorange_m, epoch.carrier_phase_cycles, epoch.doppler_hz, epoch.cn0_dbhz)
+    columns = (column.tolist() for column in (epoch.satellite, epoch.signal >> 8, *measured))
+    return {(satellite, band): values for satellite, band, *values in zip(*columns, strict=True)}
 
 
 def largest_difference(one: list[ObservationEpoch], other: list[ObservationEpoch]) -> np.ndarray:
@@ -75,16 +73,16 @@ def test_a_binary_stream_and_rinex_have_the_same_epochs_within_their_resolution(
 
 def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
     near_ns = raw_drive.times_ns[0]
-    text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts[:10])
-    for protocol, data in (
-        ("ubx", b"".join(raw_drive.ubx_parts[:10])),
-        ("mixed", b"".join(map(b"".join, zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False)))),
-        ("rtcm", b"".join(raw_drive.rtcm_parts[:10])),
-        ("rinex", text),
-    ):
+    streams: dict[Any, bytes] = {
+        "ubx": b"".join(raw_drive.ubx_parts[:10]),
+        "mixed": b"".join(map(b"".join, zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False))),
+        "rtcm": b"".join(raw_drive.rtcm_parts[:10]),
+        "rinex": raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts[:10]),
+    }
+    for protocol, data in streams.items():
         whole = [repr_of(each) for each in decoded("rover", protocol, data, near_ns)]
         assert whole
-        reader, pieces, random = StreamReader("rover", protocol, "here", near_ns), [], Random(3)  # type: ignore[arg-type]
+        reader, pieces, random = StreamReader("rover", protocol, "here", near_ns), [], Random(3)
         while data:
             size = random.randint(1, 700)
             pieces += [repr_of(each) for each in reader.feed(data[:size])]
@@ -94,9 +92,8 @@ def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
 
 def repr_of(received: tuple[str, Any]) -> str:
     whose, what = received
-    return (
-        f"{whose} {what.time_ns} {table(what)}" if isinstance(what, ObservationEpoch) else f"{whose} {what}"
-    )
+    epoch = isinstance(what, ObservationEpoch)
+    return f"{whose} {what.time_ns} {table(what)}" if epoch else f"{whose} {what}"
 
 
 def test_rtcm_in_a_receivers_mixed_stream_is_the_bases(raw_drive: RawDrive) -> None:
@@ -104,9 +101,8 @@ def test_rtcm_in_a_receivers_mixed_stream_is_the_bases(raw_drive: RawDrive) -> N
     received = decoded("rover", "mixed", data, raw_drive.times_ns[0])
     assert [epoch.time_ns for epoch in epochs("rover", received)] == raw_drive.times_ns[:4]
     assert [epoch.time_ns for epoch in epochs("base", received)] == raw_drive.times_ns[:4]
-    assert {(whose, what.label) for whose, what in received if isinstance(what, StationPosition)} == {
-        ("base", "rtcm-1")
-    }
+    stations = {(whose, what.label) for whose, what in received if isinstance(what, StationPosition)}
+    assert stations == {("base", "rtcm-1")}
     # A receiver whose own observations come as RTCM says so with the protocol.
     receiver = decoded("rover", "rtcm", b"".join(raw_drive.rtcm_parts[:4]), raw_drive.times_ns[0])
     assert len(epochs("rover", receiver)) == 4
@@ -116,16 +112,12 @@ def test_navigation_files_come_one_after_another_with_the_last_record_and_the_io
     raw_drive: RawDrive,
 ) -> None:
     reader = StreamReader("ephemerides", "rinex", "here", raw_drive.times_ns[0])
-    first = reader.feed(raw_drive.navigation)
-    count = len([1 for _, what in first if isinstance(what, Ephemeris)])
-    second = reader.feed(raw_drive.navigation)
-    third = reader.fell_silent()
-    assert not [what for _, what in (*first, *second, *third) if isinstance(what, FormatError)]
+    feeds = reader.feed(raw_drive.navigation), reader.feed(raw_drive.navigation), reader.fell_silent()
+    assert not [what for items in feeds for _, what in items if isinstance(what, FormatError)]
+    first, second, third = (sum(isinstance(what, Ephemeris) for _, what in items) for items in feeds)
     # The last record is whole when another file begins, or nothing follows.
-    assert [
-        len([1 for _, what in received if isinstance(what, Ephemeris)]) for received in (second, third)
-    ] == [count + 1, 1]
-    coefficients = [what for _, what in first if isinstance(what, IonosphereCoefficients)]
+    assert (second, third) == (first + 1, 1)
+    coefficients = [what for _, what in feeds[0] if isinstance(what, IonosphereCoefficients)]
     assert coefficients[-1].system == "G"
     assert coefficients[-1].alpha != (0.0, 0.0, 0.0, 0.0)
     assert reader.fell_silent() == []
@@ -200,12 +192,8 @@ def test_damage_is_counted_by_what_was_the_matter(raw_drive: RawDrive) -> None:
 @pytest.mark.parametrize("stream", ["rover", "base", "ephemerides"])
 def test_no_bytes_raise_anything(stream: Any, protocol: Any, raw_drive: RawDrive) -> None:
     random = Random(17)
-    good = (
-        raw_drive.ubx_parts[0]
-        + raw_drive.rtcm_parts[0]
-        + raw_drive.rover_header
-        + raw_drive.navigation[:4000]
-    )
+    good = raw_drive.ubx_parts[0] + raw_drive.rtcm_parts[0] + raw_drive.rover_header
+    good += raw_drive.navigation[:4000]
     for _ in range(10):
         data = bytearray(good)
         for _ in range(40):

@@ -44,13 +44,11 @@ def columns(*names: str) -> SignalColumns:
 
 def paired(rover: list[str], base: list[str], rover_parts=None, base_parts=None, groups=ALL) -> list[str]:
     """Pairs as `G05:1C-1C`."""
-    full = lambda names, parts: np.array([2] * len(names) if parts is None else parts, np.int64)  # noqa: E731
+    rover_usable, base_usable = np.full(len(rover), 2), np.full(len(base), 2)
+    rover_usable[:] = 2 if rover_parts is None else rover_parts
+    base_usable[:] = 2 if base_parts is None else base_parts
     pairs = pair_signals(
-        columns(*rover),
-        full(rover, rover_parts),
-        columns(*base),
-        base_usable=full(base, base_parts),
-        groups=groups,
+        columns(*rover), rover_usable, columns(*base), base_usable=base_usable, groups=groups
     )
     return [f"{rover[i]}-{base[j].split(':')[1]}" for i, j in zip(*pairs[:2], strict=True)]
 
@@ -65,12 +63,8 @@ def test_a_group_is_a_carrier_of_systems_with_one_clock():
     assert group("G01:1C") != group("E01:1C")
     assert group("C21:1P") != group("C21:2I")
     assert group("G01:2L") == group("G01:2X") != group("G01:2W")
-    for name, hz in (
-        ("G01:2W", 1227.6e6),
-        ("C30:2I", 1561.098e6),
-        ("E11:7Q", 1207.14e6),
-        ("J01:5X", 1176.45e6),
-    ):
+    carriers_hz = {"G01:2W": 1227.6e6, "C30:2I": 1561.098e6, "E11:7Q": 1207.14e6, "J01:5X": 1176.45e6}
+    for name, hz in carriers_hz.items():
         assert WAVELENGTH_M[group(name)] == pytest.approx(SPEED_OF_LIGHT_M_S / hz)
 
 

@@ -50,13 +50,6 @@ def test_its_covariance_is_that_of_its_errors():
     assert chi2 / freedom == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_clock_common_to_a_group_changes_nothing():
-    rows = made_up_rows(np.random.default_rng(1)).rows
-    before = position_from(rows)
-    shifted = rows._replace(code_m=rows.code_m + 1234.5 * (rows.group == rows.group[0]))
-    np.testing.assert_allclose(position_from(shifted).dx_m, before.dx_m, atol=1e-6)
-
-
 def test_wrong_codes_are_left_out_and_the_others_are_not():
     for seed in range(40):
         made = made_up_rows(np.random.default_rng(seed), noise=0.5)

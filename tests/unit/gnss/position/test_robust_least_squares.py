@@ -5,8 +5,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from camber.gnss.position.robust_least_squares import (
@@ -33,13 +31,7 @@ def problem(seed: int, n: int = 20, p: int = 4) -> tuple[np.ndarray, np.ndarray,
     return design, design @ truth + sigma * rng.normal(size=n), sigma, truth
 
 
-def fit(
-    design: np.ndarray,
-    observed: np.ndarray,
-    sigma: np.ndarray,
-    false_alarm: float = FALSE_ALARM,
-    candidate=None,
-) -> RobustFit:
+def fit(design, observed, sigma, false_alarm=FALSE_ALARM, candidate=None) -> RobustFit:
     model = LinearModel(design, observed, sigma, np.full(design.shape[1], np.inf))
     candidate = np.ones(len(observed), np.bool_) if candidate is None else candidate
     return consistent_fit(model, candidate, false_alarm)
@@ -60,7 +52,6 @@ def test_what_is_consistent_is_fitted_as_numpy_does():
     expected, rss, _, _ = np.linalg.lstsq(weighted, observed / sigma, rcond=None)
     np.testing.assert_allclose(estimate.value, expected, rtol=1e-9)
     np.testing.assert_allclose(estimate.covariance, np.linalg.inv(weighted.T @ weighted), rtol=1e-9)
-    np.testing.assert_allclose(estimate.residual, observed - design @ expected, atol=1e-9)
     assert estimate.chi_squared == pytest.approx(rss[0])
     assert (estimate.status, estimate.degrees, bool(estimate.used.all())) == (OK, 16, True)
 
@@ -93,10 +84,8 @@ HIDING = [
 
 def lines_of_sight(angles: list[tuple[float, float]]) -> np.ndarray:
     elevation, azimuth = np.radians(np.array(angles, float)).T
-    flat = np.cos(elevation)
-    return -np.column_stack(
-        (flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation), -np.ones(len(angles)))
-    )
+    east, north = np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth)
+    return -np.column_stack((east, north, np.sin(elevation), -np.ones(len(angles))))
 
 
 def test_two_wrong_rows_that_mask_one_another_are_excluded_and_the_right_ones_stay():
@@ -159,10 +148,8 @@ def test_the_row_that_goes_is_the_leave_one_out_that_fits_best():
         estimate = fit(design, observed, sigma, 1e-3)
         if estimate.used.sum() != 8:
             continue
-        chi_squared = []
-        for k in range(9):
-            rest = np.arange(9) != k
-            chi_squared.append(fit(design[rest], observed[rest], sigma[rest], ALARMLESS).chi_squared)
+        rest = ~np.eye(9, dtype=np.bool_)
+        chi_squared = [fit(design[r], observed[r], sigma[r], ALARMLESS).chi_squared for r in rest]
         assert int(np.argmin(chi_squared)) == int(np.flatnonzero(~estimate.used)[0])
         assert estimate.chi_squared == pytest.approx(min(chi_squared))
 
@@ -184,21 +171,24 @@ def test_whatever_is_left_out_would_contradict_what_stays():
             with_it[k] = True
             again = fit(design, observed, sigma, alarm, with_it)
             variance = sigma[k] ** 2 + design[k] @ estimate.covariance @ design[k]
-            unlikely = 12 * math.erfc(math.sqrt(0.5 * estimate.residual[k] ** 2 / variance)) < alarm
+            residual = observed[k] - design[k] @ estimate.value
+            unlikely = 12 * math.erfc(math.sqrt(0.5 * residual**2 / variance)) < alarm
             assert unlikely or not again.used[with_it].all()
         of_used = fit(design, observed, sigma, ALARMLESS, estimate.used)
         np.testing.assert_allclose(estimate.value, of_used.value, rtol=1e-9)
-        assert (estimate.chi_squared, estimate.degrees) == pytest.approx(
-            (of_used.chi_squared, of_used.degrees)
-        )
+        assert estimate.chi_squared == pytest.approx(of_used.chi_squared)
+        assert estimate.degrees == of_used.degrees
     assert consistent > 100
 
 
-def test_with_one_degree_of_freedom_a_fault_is_seen_and_not_blamed_on_a_row():
-    design, observed, sigma, _ = problem(3, n=5)
-    observed[2] += 1000.0
+@pytest.mark.parametrize(
+    ("rows", "status", "degrees"), [(5, INCONSISTENT, 1), (4, OK, 0), (3, TOO_FEW, 0), (0, TOO_FEW, 0)]
+)
+def test_a_fault_in_few_rows_is_seen_where_there_is_redundancy_and_blamed_on_no_row(rows, status, degrees):
+    design, observed, sigma, _ = problem(3, n=rows)
+    observed[2:3] += 1000.0
     estimate = fit(design, observed, sigma)
-    assert (estimate.status, estimate.degrees) == (INCONSISTENT, 1)
+    assert (estimate.status, estimate.degrees) == (status, degrees)
 
 
 def test_more_than_half_of_the_rows_never_go():
@@ -209,17 +199,7 @@ def test_more_than_half_of_the_rows_never_go():
     assert estimate.used.sum() >= 10
 
 
-def test_without_redundancy_nothing_is_tested():
-    design, observed, sigma, _ = problem(5, n=4)
-    observed[0] += 1e6
-    estimate = fit(design, observed, sigma)
-    assert (estimate.status, estimate.degrees) == (OK, 0)
-
-
-def test_too_few_and_degenerate_rows_have_a_status():
-    design, observed, sigma, _ = problem(6, n=3)
-    assert fit(design, observed, sigma).status == TOO_FEW
-    assert fit(design[:0], observed[:0], sigma[:0]).status == TOO_FEW
+def test_rows_that_do_not_determine_all_unknowns_are_degenerate():
     design, observed, sigma, _ = problem(6)
     design[:, 3] = design[:, 2] * 2.0
     assert fit(design, observed, sigma).status == DEGENERATE
@@ -242,15 +222,3 @@ def test_the_horizontal_dilution_is_that_of_the_unweighted_geometry():
     hdop = horizontal_dilution(design, np.ones(20, np.bool_))
     assert hdop == pytest.approx(math.sqrt(cofactor[0, 0] + cofactor[1, 1]))
     assert np.isnan(horizontal_dilution(design, np.zeros(20, np.bool_)))
-
-
-@settings(derandomize=True, max_examples=100, deadline=None)
-@given(st.integers(0, 2**31), st.permutations(range(15)))
-def test_the_order_of_rows_does_not_matter(seed, order):
-    design, observed, sigma, _ = problem(seed, n=15)
-    observed[0] += 60.0
-    straight = fit(design, observed, sigma)
-    mixed = fit(design[order], observed[order], sigma[order])
-    assert mixed.status == straight.status
-    assert mixed.used.tolist() == straight.used[order].tolist()
-    np.testing.assert_allclose(mixed.value, straight.value, rtol=1e-6, atol=1e-9)
