@@ -110,8 +110,8 @@ def rnx2rtkp(name: str) -> dict[int, tuple[bool, np.ndarray]]:
         if line and not line.startswith("%"):
             week, tow, latitude, longitude, height_m, quality, *_ = line.split()
             time_ns = gps_ns_from_week_tow(int(week), nanoseconds_from_decimal(tow))
-            radians = np.deg2rad([float(latitude), float(longitude)])
-            position = np.array(ecef_from_geodetic_scalar(*radians, float(height_m)))
+            latitude_rad, longitude_rad = np.deg2rad([float(latitude), float(longitude)])
+            position = np.array(ecef_from_geodetic_scalar(latitude_rad, longitude_rad, float(height_m)))
             by_epoch[second(time_ns)] = (quality == "1", position)
     return by_epoch
 
