@@ -314,15 +314,6 @@ def test_a_confirmation_without_a_whole_position_anchors_nothing(
     assert drive.codes() == issues
 
 
-def test_a_confirmed_position_far_from_a_given_pose_is_kept_out() -> None:
-    drive = Drive(initial_pose=GIVEN)
-    drive.run(10)
-    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, 40.0))
-    assert pose is not None
-    assert drive.off_m(pose) < 1.0
-    assert drive.bus.counters["anchor.outside_gate"] == 1
-
-
 def arbitrary_fix(random: Random, tenth: int) -> Fix:
     far = random.random() < 0.3
     position = (
@@ -414,13 +405,6 @@ def test_an_unknown_road_of_the_map_is_passed_on() -> None:
     assert drive.run(3).road == drive.map.road
 
 
-def test_beyond_the_limit_of_sigma_no_road_is_asked_for() -> None:
-    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 16.0}, couple_links=False)
-    pose = drive.run(3)
-    assert (pose.road.status, pose.road.reason) == ("unknown", "pose_too_uncertain")
-    assert drive.map.count(ElevationRequest) == 0
-
-
 def test_the_road_is_asked_for_under_the_antenna_with_links_and_the_last_surface() -> None:
     drive = Drive(initial_pose=GIVEN, antenna_x_m=1.5)
     pose = drive.run(100)
@@ -472,6 +456,7 @@ def test_a_pose_that_has_become_certain_gets_its_road_at_once() -> None:
     drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 16.0}, couple_links=False)
     drive.speed_m_s = 0.0
     assert drive.run(1).road.reason == "pose_too_uncertain"
+    assert drive.map.count(ElevationRequest) == 0
     drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m))
     assert drive.run(1).road.status == "known"
 

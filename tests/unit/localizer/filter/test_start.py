@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from camber.localizer.filter.heading_search import HeadingSearch, TrackedPosition
 from camber.localizer.filter.odometry import MotionModel, WheelOdometry
-from camber.localizer.filter.planar_pose import rotated
+from camber.localizer.filter.planar_pose import covariance_at_offset, rotated
 from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
 from camber.localizer.filter.track import RelativeTrack
 from support.pose_inputs import sample
@@ -136,14 +136,26 @@ def test_moving_fixes_that_agree_determine_position_and_heading(yaw, speed, rate
     assert np.linalg.eigvalsh(pose.covariance)[0] > 0.0
 
 
-def test_a_position_the_track_does_not_lead_to_determines_no_heading():
-    drive = Drive()
-    first = TrackedPosition(0.0, 0.0, 0.05**2, drive.track.at(drive.time_ns))
-    search = HeadingSearch(first, (0.0, 0.0))
+def test_two_positions_and_the_track_between_them_determine_the_heading():
+    drive = Drive(yaw=1.0)
+    first = TrackedPosition(*drive.place, 0.05**2, drive.track.at(drive.time_ns))
     for _ in range(10):
-        drive.step(5.0, 0.0)
-    there = first._replace(east_m=30.0, track=drive.track.at(drive.time_ns))
-    assert search.add(there) is None
+        drive.step(5.0, 0.1)
+    then = TrackedPosition(*drive.place, 0.05**2, drive.track.at(drive.time_ns))
+    assert HeadingSearch(first, (0.0, 0.0)).add(then)[0] == pytest.approx(1.0, abs=1e-6)
+    elsewhere = then._replace(east_m=then.east_m + 30.0)
+    assert HeadingSearch(first, (0.0, 0.0)).add(elsewhere) is None
+
+
+def test_a_covariance_is_carried_to_another_point_of_the_vehicle_by_its_derivatives():
+    pose, root = np.array([3.0, -2.0, 0.7]), np.random.default_rng(3).standard_normal((3, 3))
+
+    def point(x):
+        return np.add(x, (*rotated(x[2], 2.0, -1.0), 0.0))
+
+    f = np.column_stack([(point(pose + e) - point(pose - e)) / 2e-6 for e in 1e-6 * np.eye(3)])
+    moved = covariance_at_offset(root @ root.T, *rotated(0.7, 2.0, -1.0))
+    np.testing.assert_allclose(moved, f @ root @ root.T @ f.T, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["east_m", "north_m", "yaw_rad"])
