@@ -110,33 +110,25 @@ class Localization:
 
     def on_fix(self, fix: Fix) -> None:
         """Use an unconfirmed fix to start, where the filter accepts one."""
-        if fix.quality != "fixed" or fix.covariance_enu_m2 is None:
+        if fix.quality != "fixed":
             return
         if not self._filter.accepts_fixes:
             self._start.reset()
             return
-        covariance = self._horizontal(fix.covariance_enu_m2)
-        if covariance is None:
+        placed = self._in_plane(fix)
+        if placed is None:
             return
-        position_m = self._plane_for(fix.latitude_rad, fix.longitude_rad).east_north(
-            fix.latitude_rad, fix.longitude_rad
-        )
-        pose = self._start.add(fix.time_ns, position_m, covariance, self._filter.track)
+        pose = self._start.add(fix.time_ns, *placed, self._filter.track)
         if pose is not None and self._filter.start(pose):
             self._on_jump()
             self._diagnostics.count("started_from_fixes")
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Anchor the pose to a confirmed position."""
-        if verdict.verdict not in _CONFIRMED or verdict.covariance_enu_m2 is None:
+        placed = self._in_plane(verdict) if verdict.verdict in _CONFIRMED else None
+        if placed is None:
             return
-        if verdict.latitude_rad is None or verdict.longitude_rad is None:
-            return
-        covariance = self._horizontal(verdict.covariance_enu_m2)
-        if covariance is None:
-            return
-        plane = self._plane_for(verdict.latitude_rad, verdict.longitude_rad)
-        east_m, north_m = plane.east_north(verdict.latitude_rad, verdict.longitude_rad)
+        (east_m, north_m), covariance = placed
         tilt_m = self._antenna_shift_by_tilt(verdict.time_ns)
         result = self._filter.anchor(verdict.time_ns, east_m - tilt_m[0], north_m - tilt_m[1], covariance)
         if result.outcome == "recovered":
@@ -229,15 +221,18 @@ class Localization:
         level = rotated(estimate.yaw_rad, self._lever_m[0], self._lever_m[1])
         return east_m - level[0], north_m - level[1]
 
-    def _horizontal(self, covariance_enu_m2: tuple[float, ...]) -> Floats | None:
-        """Return the east and north part (2, 2); None where it is not positive definite."""
-        ee, en, _, nn, _, _ = covariance_enu_m2
-        if not (ee > 0.0 and ee * nn > en * en):
-            self._diagnostics.issue(
-                "unusable_covariance", f"ee {ee:g}, en {en:g}, nn {nn:g} m²: not positive definite"
-            )
+    def _in_plane(self, message: Fix | Verdict) -> tuple[tuple[float, float], Floats] | None:
+        """Return east and north of the antenna and their covariance (2, 2); None without a whole position."""
+        latitude_rad, longitude_rad = message.latitude_rad, message.longitude_rad
+        if latitude_rad is None or longitude_rad is None or message.covariance_enu_m2 is None:
             return None
-        return np.array([[ee, en], [en, nn]])
+        ee, en, _, nn, _, _ = message.covariance_enu_m2
+        if not (ee > 0.0 and ee * nn > en * en):
+            text = f"ee {ee:g}, en {en:g}, nn {nn:g} m²: not positive definite"
+            self._diagnostics.issue("unusable_covariance", text)
+            return None
+        plane = self._plane_for(latitude_rad, longitude_rad)
+        return plane.east_north(latitude_rad, longitude_rad), np.array([[ee, en], [en, nn]])
 
     def _couple_links(self, now_ns: int) -> None:
         estimate = self._filter.estimate()

@@ -44,11 +44,10 @@ class CloudTileLoader:
             self._retried_ns = now_ns
             self._blocks.forget_missing()
         self._blocks.drop_far_tiles(latitude_rad, longitude_rad)
-        needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
         held = set(self._blocks.tiles_held())
         self._sha256 = {key: sha256 for key, sha256 in self._sha256.items() if key in held}
         self._stale = [key for key in self._stale if key in held]
-        self._load(needed, now_ns)
+        self._load(latitude_rad, longitude_rad, now_ns)
         block = self._blocks.block_at(latitude_rad, longitude_rad)
         self.reason = self._blocks.reason
         return block
@@ -57,12 +56,13 @@ class CloudTileLoader:
         """Do one step of building the block at a position ahead, from tiles that are loaded."""
         self._blocks.build_ahead(latitude_rad, longitude_rad, bounds)
 
-    def _load(self, needed: list[_TileKey], now_ns: int) -> None:
+    def _load(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> None:
         paused = self._paused_ns is not None and 0 <= now_ns - self._paused_ns < _PAUSE_NS
         if paused or not self._map_queries.is_available():
             return
         for _ in range(_PARTS_PER_STEP):
             if self._fetch is None:
+                needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
                 key = next(iter((*needed, *self._stale)), None)
                 if key is None:
                     return
@@ -74,11 +74,10 @@ class CloudTileLoader:
                 return
             self._fetch.receive(reply)
             if self._fetch.state != "loading":
-                done = self._finish(self._fetch)
-                needed = [key for key in needed if key != done]
+                self._finish(self._fetch)
                 self._fetch = None
 
-    def _finish(self, fetch: TileFetch) -> _TileKey:
+    def _finish(self, fetch: TileFetch) -> None:
         key: _TileKey = (fetch.layer, fetch.x, fetch.y)
         if key in self._stale:
             self._stale.remove(key)
@@ -90,4 +89,3 @@ class CloudTileLoader:
             self._blocks.set_tile(*key, None, fetch.reason)
             self._sha256.pop(key, None)
             self._diagnostics.count("tile.missing")
-        return key
