@@ -138,10 +138,10 @@ def test_moving_fixes_that_agree_determine_position_and_heading(yaw, speed, rate
 
 def test_two_positions_and_the_track_between_them_determine_the_heading():
     drive = Drive(yaw=1.0)
-    first = TrackedPosition(*drive.place, 0.05**2, drive.track.at(drive.time_ns))
+    first = TrackedPosition(drive.place[0], drive.place[1], 0.05**2, drive.track.at(drive.time_ns))
     for _ in range(10):
         drive.step(5.0, 0.1)
-    then = TrackedPosition(*drive.place, 0.05**2, drive.track.at(drive.time_ns))
+    then = TrackedPosition(drive.place[0], drive.place[1], 0.05**2, drive.track.at(drive.time_ns))
     assert HeadingSearch(first, (0.0, 0.0)).add(then)[0] == pytest.approx(1.0, abs=1e-6)
     elsewhere = then._replace(east_m=then.east_m + 30.0)
     assert HeadingSearch(first, (0.0, 0.0)).add(elsewhere) is None
