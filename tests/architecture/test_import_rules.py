@@ -5,32 +5,24 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import sysconfig
 from pathlib import Path
 
 import pytest
 
+from support.running import python
 from support.tree import ROOT
 
 
 def lint(root: Path) -> subprocess.CompletedProcess[str]:
     """Run import-linter on the sources under `root`; -S keeps an editable install of this checkout out of it."""
-    paths = [
-        root / "schemas",
-        root / "services",
-        sysconfig.get_path("purelib"),
-        sysconfig.get_path("platlib"),
-    ]
-    return subprocess.run(
-        [sys.executable, "-S", "-c", "from importlinter.cli import lint_imports_command as run; run()",
-         "--no-cache", "--config", str(ROOT / "pyproject.toml")],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths)), "COLUMNS": "300"},
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=False,
-    )  # fmt: skip
+    installed = (sysconfig.get_path("purelib"), sysconfig.get_path("platlib"))
+    paths = os.pathsep.join(map(str, (root / "schemas", root / "services", *installed)))
+    code = "from importlinter.cli import lint_imports_command as run; run()"
+    options = ("--no-cache", "--config", ROOT / "pyproject.toml")
+    return python(
+        "-S", "-c", code, *options, env=os.environ | {"PYTHONPATH": paths, "COLUMNS": "300"}, cwd=root
+    )
 
 
 def test_the_sources_keep_the_contracts() -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 import os
 import re
-import subprocess
-import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -14,6 +12,7 @@ from pathlib import Path
 import hatchling.build
 import pytest
 
+from support.running import python
 from support.tree import ROOT, SOURCE_ROOTS
 
 PACKAGES = sorted({path.parent for root in SOURCE_ROOTS for path in root.rglob("*.py")} - set(SOURCE_ROOTS))
@@ -34,24 +33,13 @@ def test_every_package_says_in_a_line_what_it_is(package: Path) -> None:
 
 def test_both_roots_are_installed(tmp_path: Path) -> None:
     environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [sys.executable, "-c", "import camber.schemas.codec, camber.runtime; print('both')"],
-        cwd=tmp_path,
-        env=environ,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    code = "import camber.schemas.codec, camber.runtime; print('both')"
+    done = python("-c", code, cwd=tmp_path, env=environ)
     assert done.stdout == "both\n", f"make setup installs them\n{done.stderr}"
 
 
 def test_a_wheel_holds_both_roots_and_leaves_the_namespace_open(tmp_path: Path) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)],
-        cwd=ROOT,
-        capture_output=True,
-        check=True,
-    )
+    python("-m", "hatchling", "build", "--target", "wheel", "--directory", tmp_path, cwd=ROOT)
     (wheel,) = tmp_path.glob("camber-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     assert "camber/__init__.py" not in names

@@ -7,14 +7,12 @@ last drive is judged by the map that this vehicle has then.
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.formats.drive.truth_csv import FIX_STATES
@@ -24,11 +22,19 @@ from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.replay.short_drive import RATE_HZ, short_drive_truth, write_short_drive
 from camber.road_map.release import Release, RoadSurfaces, load_signing_key, read_release, write_release
 from camber.road_map.store import MapStore
-from camber.runtime.clock import SystemClock
 from camber.runtime.query import query_once
-from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.fleet import UploadBatch
-from support.running import camber, free_port, recorded, started, wait_until
+from support.release_world import write_signing_keys
+from support.running import (
+    CLOCK,
+    camber_started,
+    client_of,
+    loopback_router,
+    recorded,
+    replayed,
+    settings_file,
+    wait_until,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +43,7 @@ RAISED_M = 0.4
 CHANGED_S = (66.0, 71.0)
 """Of the drive, when it is on the piece that has changed: some 45 m on the bridge, with right fixes only."""
 DAY_NS = 86_400 * 10**9
-TODAY_NS = SystemClock().now_ns() // DAY_NS * DAY_NS
+TODAY_NS = CLOCK.now_ns() // DAY_NS * DAY_NS
 DAYS_AGO = (9, 9, 7, 7, 5)
 """When each of the vehicles drove."""
 
@@ -77,14 +83,10 @@ def survey(folder: Path, made: Path, key: Ed25519PrivateKey) -> tuple[Path, np.n
 
 def replay(folder: Path, vehicle: int, days_ago: int, release: str) -> Path:
     """A drive of a vehicle by the map in a folder beside it, through all real processes; what they leave."""
-    manifest = write_short_drive(
-        folder / f"car{vehicle}", 10 + vehicle, start_ns=TODAY_NS - days_ago * DAY_NS
-    )
-    out = folder / f"out{vehicle}"
+    start_ns = TODAY_NS - days_ago * DAY_NS
+    manifest = write_short_drive(folder / f"car{vehicle}", 10 + vehicle, start_ns=start_ns)
     sets = "--set", f"vehicle=car{vehicle}", "--set", f'map.release="../{release}"'
-    done = camber("replay", manifest, "--processes", "--out", out, "--quiet", *sets, timeout_s=300.0)
-    assert done.returncode == 0, done.stderr
-    return out
+    return replayed(manifest, folder / f"out{vehicle}", "--processes", *sets, timeout_s=300.0)
 
 
 def confirmed_there(out: Path) -> tuple[int, int]:
@@ -105,9 +107,8 @@ def confirmed_there(out: Path) -> tuple[int, int]:
 
 def batches_in(out: Path) -> Iterator[UploadBatch]:
     """What a vehicle uploaded in its replay, as it was acknowledged and stored there."""
-    store = SqliteStore(out / "state/map_update/uploads.sqlite")
-    stored = store.observations_after(0, 1 << 40)
-    store.close()
+    with closing(SqliteStore(out / "state/map_update/uploads.sqlite")) as store:
+        stored = store.observations_after(0, 1 << 40)
     for n, heading in enumerate(stored.entries):
         rows = stored.rows[stored.entry_of == n]
         columns = {
@@ -127,7 +128,7 @@ def batches_in(out: Path) -> Iterator[UploadBatch]:
 
 def upload(endpoint: str, batch: UploadBatch) -> None:
     """Over the bus, until it is acknowledged."""
-    settings = ServiceSettings(vehicle=batch.vehicle, zenoh=ZenohSettings(connect=[endpoint]))
+    settings = client_of(endpoint, batch.vehicle)
     receipt = query_once(settings, "upload_batch", batch, service="map_update", timeout_s=10.0)
     assert receipt.status == "stored"
 
@@ -140,14 +141,11 @@ def raised(folder: Path, changed: np.ndarray) -> list[float] | None:
     path = folder / "vehicle.sqlite"
     if not path.exists():
         return None
-    store = MapStore(path)
-    try:
+    with closing(MapStore(path)) as store:
         current = store.current()
         if current is None or current.map_version < 2:
             return None
         new = store.open(current.map_version).road_surfaces()
-    finally:
-        store.close()
     old = read_release(folder / "survey").road_surfaces()
     offset_m = np.array([(a - b).mean() for a, b in zip(new.heights_m, old.heights_m, strict=True)])
     return offset_m.tolist() if offset_m[np.isin(old.surface_id, changed)].all() else None
@@ -156,50 +154,30 @@ def raised(folder: Path, changed: np.ndarray) -> list[float] | None:
 @contextmanager
 def cloud_and_vehicle(folder: Path, key: Path, public: Path) -> Iterator[str]:
     """A router, a map_update that fuses, and the map_server of a vehicle; where the router is."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    bus = "--zenoh.mode", "client", "--zenoh.connect", f'["{endpoint}"]'
-    quiet = {"stdout": subprocess.DEVNULL}
-    cloud = "--reference", folder / "survey", "--signing-key", key, "--fuse-every-s", 0.5, "--street-m", 60.0
-    vehicle = "--release", folder / "survey", "--public-key", public, "--store", folder / "vehicle.sqlite"
-    with (
-        started("-m", "camber.cli", "router", "--listen", endpoint, **quiet),
-        started(
-            "-m",
-            "camber.map_update",
-            *bus,
-            "--state-dir",
-            folder / "cloud",
-            *cloud,
-            **quiet,
-        ),
-        started(
-            "-m",
-            "camber.map_server",
-            *bus,
-            "--vehicle",
-            "car9",
-            *vehicle,
-            "--ask-every-s",
+    with loopback_router() as endpoint, (folder / "log").open("w") as log:
+        config = "--config", settings_file(folder / "bus.toml", endpoint, vehicle="car9")
+        cloud = (
+            "--reference",
+            folder / "survey",
+            "--signing-key",
+            key,
+            "--fuse-every-s",
             0.5,
-            **quiet,
-        ),
-    ):
-        wait_until((folder / "cloud/releases/root.msgpack").exists, timeout_s=60.0, why="no first release")
-        yield endpoint
-
-
-def write_keys(folder: Path) -> tuple[Path, Path]:
-    key = Ed25519PrivateKey.generate()
-    encoding = serialization.Encoding.PEM
-    private = key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    public = key.public_key().public_bytes(encoding, serialization.PublicFormat.SubjectPublicKeyInfo)
-    (folder / "release.key").write_bytes(private)
-    (folder / "release.pub").write_bytes(public)
-    return folder / "release.key", folder / "release.pub"
+            "--street-m",
+            60.0,
+        )
+        vehicle = "--release", folder / "survey", "--public-key", public, "--store", folder / "vehicle.sqlite"
+        with (
+            camber_started("map_update", *config, "--state-dir", folder / "cloud", *cloud, stdout=log),
+            camber_started("map_server", *config, *vehicle, "--ask-every-s", 0.5, stdout=log),
+        ):
+            first = (folder / "cloud/releases/root.msgpack").exists
+            wait_until(first, timeout_s=60.0, why="no first release")
+            yield endpoint
 
 
 def test_vehicles_that_find_a_changed_road_correct_it_for_the_next_one(tmp_path: Path) -> None:
-    key, public = write_keys(tmp_path)
+    key, public = write_signing_keys(tmp_path, tmp_path)
     write_short_drive(tmp_path / "now")
     _, changed = survey(tmp_path, tmp_path / "now/map", load_signing_key(key))
     outs = [replay(tmp_path, vehicle, ago, "survey") for vehicle, ago in enumerate(DAYS_AGO)]

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from camber.schemas.drive import load_manifest
-from support.running import assert_same_messages, camber, in_one_process, summary_of
+from support.running import assert_same_messages, in_one_process, replayed, summary_of
 
 DRIVE = Path(__file__).with_name("nagoya.toml")
-TIMEOUT_S = 400.0
 
 pytestmark = [
     pytest.mark.slow,
@@ -22,9 +21,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def out(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("nagoya")
-    done = camber("replay", DRIVE, "--processes", "--seed", 1, "--out", out, "--quiet", timeout_s=TIMEOUT_S)
-    assert done.returncode == 0, done.stderr
-    return out
+    return replayed(DRIVE, out, "--processes", "--seed", 1, timeout_s=400.0)
 
 
 def test_no_wrong_fix_is_confirmed_and_nearly_all_right_ones_are(out):

@@ -10,7 +10,7 @@ import pytest
 from camber.formats.drive.truth_csv import read_truth
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
-from support.running import camber, in_one_process, recorded, summary_of
+from support.running import camber, in_one_process, recorded, replayed, summary_of
 
 
 @pytest.fixture(scope="module")
@@ -20,9 +20,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fault = '{kind = "wrong_base", onset_s = 30.0, end_s = 34.0, east_m = 3.0, up_m = 2.5}'
     scenario = load_scenario("canyon", ["duration_s=45.0", f"faults=[{fault}]"])
     manifest = simulate(scenario, folder / "drive", quiet=True)
-    done = camber("replay", manifest, "--out", folder / "out", "--quiet", timeout_s=150.0)
-    assert done.returncode == 0, done.stderr
-    return folder / "out"
+    return replayed(manifest, folder / "out")
 
 
 def test_every_epoch_and_every_sensor_is_on_the_bus(out: Path) -> None:
@@ -98,18 +96,7 @@ def test_after_a_jump_of_the_receivers_clock_fixes_are_confirmed_at_once(tmp_pat
 
 def test_the_engine_solves_the_same_drive_and_is_judged_as_a_receiver_is(out: Path, tmp_path: Path) -> None:
     manifest = out.parent / "drive" / "drive.toml"
-    done = camber(
-        "replay",
-        manifest,
-        "--processes",
-        "--set",
-        "positions=engine",
-        "--out",
-        tmp_path,
-        "--quiet",
-        timeout_s=400.0,
-    )
-    assert done.returncode == 0, done.stderr
+    replayed(manifest, tmp_path, "--processes", "--set", "positions=engine", timeout_s=400.0)
     messages, of_receiver = recorded(tmp_path), recorded(out)
     fixes = [item.message for item in messages["fix"]]
     assert {fix.origin for fix in fixes} == {"engine"}

@@ -8,7 +8,12 @@ from typing import Any
 
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+)
 
 from camber.map_server.release_download import SupplierUnavailableError
 from camber.map_update.fusion.corrections import CORRECTION, Corrections
@@ -28,6 +33,14 @@ STEP_M = 400.0
 def public_pem(key: Ed25519PrivateKey) -> bytes:
     """The public half of a key, as a file holds it."""
     return key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+
+
+def write_signing_keys(private: Path, public: Path) -> tuple[Path, Path]:
+    """A new `release.key` and its `release.pub`, each in its folder."""
+    key, paths = Ed25519PrivateKey.generate(), (private / "release.key", public / "release.pub")
+    paths[0].write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    paths[1].write_bytes(public_pem(key))
+    return paths
 
 
 def offsets(**by_surface: float) -> Corrections:
