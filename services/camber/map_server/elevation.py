@@ -11,17 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server import road_selection as codes
-from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
+from camber.map_server.point_groups import sort_by_tile, tile_numbers
 from camber.map_server.road_selection import (
     PointColumns,
     SelectedRoads,
+    Topology,
     empty_roads,
+    restore_order,
     select_roads,
+    select_surface,
     topologies,
 )
-from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
-from camber.map_server.topology import Topology, select_surface
 from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
@@ -218,6 +219,7 @@ class ElevationMap:
         """Select by candidate links alone, and by topology where these do not decide."""
         number = tile_numbers(points.latitude_rad, points.longitude_rad)
         roads, sorted_roads = empty_roads(len(number)), empty_roads(min(_BLOCK, len(number)))
+        targets, nothing = np.arange(len(sorted_roads.reason)), topologies([])
         for begin in range(0, len(number), _BLOCK):
             tiles, rows, start, sorted_place = sort_by_tile(number[begin : begin + _BLOCK])
             rows += begin
@@ -229,8 +231,14 @@ class ElevationMap:
                         False,
                     )
                 else:
-                    select_roads_by_links(
-                        index.table, points, rows[first:end], roads=sorted_roads, begin=first
+                    select_roads(
+                        index.table,
+                        points,
+                        rows[first:end],
+                        topology=targets[:0],
+                        known=nothing,
+                        roads=sorted_roads,
+                        targets=targets[first:end],
                     )
             restore_order(sorted_place, sorted_roads, roads, begin)
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
@@ -243,20 +251,25 @@ class ElevationMap:
     ) -> None:
         """Select undecided points by topology, determined once for each tile, last surface and set of links."""
         keys = np.column_stack((number[rows], points.last[rows], points.links[rows]))
-        group, first = group_rows(keys)
+        different, group = np.unique(keys, axis=0, return_inverse=True)
         known = []
-        for tile, surface, *links in keys[first].tolist():
+        for tile, surface, *links in different.tolist():
             candidates = frozenset(link for link in links if link >= 0)
             known.append(self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface))
-        table_of_topologies = topologies(known)
+        tables, group = topologies(known), group.ravel()
         by_tile = np.argsort(keys[:, 0], kind="stable")
         tiles, start = np.unique(keys[by_tile, 0], return_index=True)
         for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
-            index = self._index(tile)
+            index, of_tile = self._index(tile), rows[members]
             assert index is not None, "a tile without surfaces is decided"
-            topology = group[members]
             select_roads(
-                index.table, points, rows[members], topology=topology, known=table_of_topologies, roads=roads
+                index.table,
+                points,
+                of_tile,
+                topology=group[members],
+                known=tables,
+                roads=roads,
+                targets=of_tile,
             )
 
     def _index(self, tile: int) -> TileIndex | None:

@@ -16,14 +16,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import Release, ReleaseError, ReleaseTile, decode_tile
-from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissingError, ReleaseFolder
+from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissingError
 from camber.road_map.release_server import ReleaseServer
 from camber.road_map.store import MapStore, StoredRelease
 from camber.road_map.tile_grid import TILES, Tile, tile_of, tiles_around
 from camber.schemas.base import EARLIEST_NS
-from camber.schemas.codec import DecodeError, decode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
-from camber.schemas.road import ReleaseRoot
 
 _MORE = 32  # chosen: blobs requested along with another; as many as fit into 256 kB are returned
 _KEPT_FACTOR = 2.0
@@ -54,34 +52,21 @@ class ReleaseSupplier(Protocol):
         """Return a part of a compressed blob."""
 
 
-class FolderSupplier:
+class FolderSupplier(ReleaseServer):
     """A folder of releases, from the factory or on a USB stick."""
 
     may_be_old = True
 
     def __init__(self, folder: Path) -> None:
+        super().__init__(folder, compress=False)
         self.name = str(folder)
-        self._server = ReleaseServer(folder, compress=False)
-        self._folder = ReleaseFolder(folder)
-
-    def stamp(self) -> object | None:
-        """Return a value that differs after the folder's root has changed."""
-        return self._folder.stamp()
 
     def region(self) -> str | None:
         """Return the region of the folder's release."""
         try:
-            return self._server.head(time_ns=EARLIEST_NS).region
+            return self.head(time_ns=EARLIEST_NS).region
         except ReleaseError:
             return None
-
-    def root(self, request: MapRootRequest) -> MapRootReply:
-        """Return the folder's root."""
-        return self._server.root(request, time_ns=request.time_ns)
-
-    def blob(self, request: MapBlobRequest) -> MapBlobReply:
-        """Return a part of one of the folder's blobs."""
-        return self._server.blob(request, time_ns=request.time_ns)
 
 
 class ReleaseDownload:
@@ -125,10 +110,13 @@ class ReleaseDownload:
         reply = supplier.root(MapRootRequest(time_ns=self._now_ns(), region=region, have_sha256=have))
         if reply.status != "known":
             return False
-        data = reply.payload.tobytes()
-        if supplier.may_be_old and self._is_old(data):
-            return False
-        return self.store.accept(data, file=supplier.name, region=region, public_key=self._public_key)
+        return self.store.accept(
+            reply.payload.tobytes(),
+            file=supplier.name,
+            region=region,
+            public_key=self._public_key,
+            may_be_old=supplier.may_be_old,
+        )
 
     def fetch(self, supplier: ReleaseSupplier) -> Iterator[None]:
         """Download what is missing, a step for each blob, then activate the new release.
@@ -161,13 +149,6 @@ class ReleaseDownload:
                 pass
             except ReleaseError:
                 self.store.drop(digest)
-
-    def _is_old(self, root: bytes) -> bool:
-        try:
-            version = decode(ReleaseRoot, root).message.map_version
-        except DecodeError:
-            return False
-        return version < (self.store.highest() or 0)
 
     def _manifest(self, kept: StoredRelease, supplier: ReleaseSupplier) -> Iterator[None]:
         if self.store.missing([kept.manifest_sha256]):

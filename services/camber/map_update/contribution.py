@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -76,7 +76,9 @@ def from_upload(upload: ElevationUpload) -> Contribution:
     }
     rows = np.array([tuple(values.values())], OBSERVATION)
     covariance = upload.position_covariance_enu_m2
-    return _contribution(upload, "upload", upload.upload_id, covariance=covariance, rows=rows)
+    return _contribution(
+        upload, kind="upload", id=upload.upload_id, position_covariance_enu_m2=covariance, observations=rows
+    )
 
 
 def from_batch(batch: UploadBatch) -> Contribution:
@@ -84,24 +86,11 @@ def from_batch(batch: UploadBatch) -> Contribution:
     rows = np.empty(len(batch.positioning_time_ns), OBSERVATION)
     for name in OBSERVATION.names or ():
         rows[name] = batch.positioning_time_ns if name == "time_ns" else getattr(batch, name)
-    return _contribution(batch, "batch", batch.batch_id, covariance=None, rows=rows)
-
-
-def _contribution(
-    message: ElevationUpload | UploadBatch,
-    kind: Kind,
-    id_: str,
-    *,
-    covariance: tuple[float, ...] | None,
-    rows: npt.NDArray[np.void],
-) -> Contribution:
-    return Contribution(
-        vehicle=message.vehicle,
-        kind=kind,
-        id=id_,
-        datum=message.datum,
-        map_version=message.map_version,
-        epoch_year=message.epoch_year,
-        position_covariance_enu_m2=covariance,
-        observations=rows,
+    return _contribution(
+        batch, kind="batch", id=batch.batch_id, position_covariance_enu_m2=None, observations=rows
     )
+
+
+def _contribution(message: ElevationUpload | UploadBatch, **own: Any) -> Contribution:
+    common = {name: getattr(message, name) for name in ("vehicle", "datum", "map_version", "epoch_year")}
+    return Contribution(**common, **own)

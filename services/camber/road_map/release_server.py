@@ -46,14 +46,19 @@ class ReleaseServer:
             "map_blob": lambda requests: [self.blob(request, time_ns=now_ns()) for request in requests],
         }
 
+    def stamp(self) -> object | None:
+        """Return a value that differs after the root has changed."""
+        return self._source.stamp()
+
     def head(self, *, time_ns: int) -> ReleaseHead:
         """Return the notice of the newest release; ReleaseError if there is none."""
         root = decoded(ReleaseRoot, self._source.root(), self._source.name(None))
         fields = root.model_dump(include={"region", "map_version", "manifest_sha256"})
         return ReleaseHead(time_ns=time_ns, **fields)
 
-    def root(self, request: MapRootRequest, *, time_ns: int) -> MapRootReply:
-        """Return the newest root, unless the client has it."""
+    def root(self, request: MapRootRequest, *, time_ns: int | None = None) -> MapRootReply:
+        """Return the newest root, unless the client has it; `time_ns` is by default that of the request."""
+        time_ns = request.time_ns if time_ns is None else time_ns
         empty = partial(MapRootReply, time_ns=time_ns, payload=_NOTHING)
         try:
             data = self._source.root()
@@ -66,11 +71,12 @@ class ReleaseServer:
             return empty(status="unchanged")
         return MapRootReply(time_ns=time_ns, status="known", payload=np.frombuffer(data, np.uint8))
 
-    def blob(self, request: MapBlobRequest, *, time_ns: int) -> MapBlobReply:
+    def blob(self, request: MapBlobRequest, *, time_ns: int | None = None) -> MapBlobReply:
         """Return a part of a compressed blob; after an only part also the blobs requested next.
 
-        Compressed without difference if the base blob does not exist here.
+        Compressed without difference if the base blob does not exist here. `time_ns` is by default that of the request.
         """
+        time_ns = request.time_ns if time_ns is None else time_ns
         unknown = partial(
             MapBlobReply,
             time_ns=time_ns,

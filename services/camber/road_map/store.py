@@ -137,17 +137,26 @@ class MapStore:
         return self._fact("highest")
 
     def accept(
-        self, data: bytes, *, file: str, region: str | None, public_key: Ed25519PublicKey | None
+        self,
+        data: bytes,
+        *,
+        file: str,
+        region: str | None,
+        public_key: Ed25519PublicKey | None,
+        may_be_old: bool = False,
     ) -> bool:
         """Accept a root; True if its release is new and must be downloaded.
 
         Raises ReleaseError, with the name `file`, for a root that is not signed with the key, is of another region than
-        `region` or the active release, has a version below the highest accepted, or differs from one of its version.
+        `region` or the active release, has a version below the highest accepted (False if it `may_be_old`), or differs
+        from one of its version.
         """
-        root = decoded(ReleaseRoot, data, file)
+        root, highest = decoded(ReleaseRoot, data, file), self.highest()
+        if may_be_old and highest is not None and root.map_version < highest:
+            return False
         if public_key is not None:
             check_signature(root, public_key, file)
-        current, highest = self.current(), self.highest()
+        current = self.current()
         expected = region or (None if current is None else current.region)
         if expected is not None and root.region != expected:
             raise ReleaseError(file, "region", expected, actual=root.region)

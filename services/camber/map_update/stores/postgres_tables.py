@@ -8,6 +8,7 @@ line and not compressed. Writing costs the server a quarter of one table row for
 from __future__ import annotations
 
 from camber.map_update.contribution import OBSERVATION
+from camber.map_update.stores.store import LEDGER, TABLES
 
 
 def _integer(at: int) -> str:
@@ -38,28 +39,12 @@ FROM packed, LATERAL (SELECT packed.rows || ''::bytea AS whole OFFSET 0) AS fetc
     generate_series(0, length(whole) - 1, {OBSERVATION.itemsize}) AS start;
 """
 
-CREATE = f"""
-CREATE TABLE contribution (
-    number bigint PRIMARY KEY,
-    vehicle text NOT NULL,
-    kind text NOT NULL,
-    id text NOT NULL,
-    digest bytea NOT NULL,
-    received_ns bigint NOT NULL,
-    records integer NOT NULL,
-    datum text NOT NULL,
-    map_version bigint NOT NULL,
-    epoch_year double precision NOT NULL,
-    position_covariance_enu_m2 bytea,
-    UNIQUE (vehicle, kind, id)
-);
+_TABLES = f"""
+{LEDGER};
 CREATE TABLE ledger_end (number bigint NOT NULL, partitions bigint NOT NULL);
 INSERT INTO ledger_end VALUES (0, 0);
 CREATE TABLE packed (contribution bigint NOT NULL, rows bytea NOT NULL) PARTITION BY RANGE (contribution);
 ALTER TABLE packed ALTER rows SET STORAGE EXTERNAL;
-CREATE TABLE vote (surface_id bigint PRIMARY KEY, rows bytea NOT NULL);
-CREATE TABLE state (name text PRIMARY KEY, value bytea NOT NULL);
-CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL, forgotten bigint NOT NULL);
-INSERT INTO progress VALUES (0, 0, 0);
-CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL);
-{_VIEW}"""
+{";".join(TABLES)};"""
+
+CREATE = _TABLES.format(bigint="bigint", blob="bytea") + _VIEW

@@ -27,6 +27,8 @@ from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.stores.store import (
     FORMAT,
     LAYOUT,
+    LEDGER,
+    TABLES,
     Outcome,
     RefusalCheck,
     Store,
@@ -36,29 +38,7 @@ from camber.map_update.stores.store import (
     settle,
 )
 
-_LEDGER = """
-CREATE TABLE contribution (
-    number INTEGER PRIMARY KEY,
-    vehicle TEXT NOT NULL,
-    kind TEXT NOT NULL,
-    id TEXT NOT NULL,
-    digest BLOB NOT NULL,
-    received_ns INTEGER NOT NULL,
-    records INTEGER NOT NULL,
-    datum TEXT NOT NULL,
-    map_version INTEGER NOT NULL,
-    epoch_year REAL NOT NULL,
-    position_covariance_enu_m2 BLOB,
-    UNIQUE (vehicle, kind, id)
-)"""
-_TABLES = (
-    "CREATE TABLE observation (contribution INTEGER PRIMARY KEY, rows BLOB NOT NULL)",
-    "CREATE TABLE vote (surface_id INTEGER PRIMARY KEY, rows BLOB NOT NULL)",
-    "CREATE TABLE state (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID",
-    "CREATE TABLE progress (cursor INTEGER NOT NULL, revision INTEGER NOT NULL, forgotten INTEGER NOT NULL)",
-    "INSERT INTO progress VALUES (0, 0, 0)",
-    "CREATE TABLE layout (name TEXT PRIMARY KEY, descr TEXT NOT NULL)",
-)
+_TYPES = {"bigint": "INTEGER", "blob": "BLOB"}
 
 
 class SqliteStore(Store):
@@ -172,9 +152,10 @@ class SqliteStore(Store):
 
 def _migrate(db: sqlite3.Connection, version: int) -> None:
     """Create the tables, or convert format 1: one database row for each observation, and no tables of the fusion."""
-    db.execute(_LEDGER if version == 0 else "ALTER TABLE observation RENAME TO observation_1")
-    for statement in _TABLES:
-        db.execute(statement)
+    begin = LEDGER if version == 0 else "ALTER TABLE observation RENAME TO observation_1"
+    observations = "CREATE TABLE observation (contribution {bigint} PRIMARY KEY, rows {blob} NOT NULL)"
+    for statement in (begin, observations, *TABLES):
+        db.execute(statement.format(**_TYPES))
     db.executemany("INSERT INTO layout VALUES (?, ?)", list(LAYOUT.items()))
     if version == 0:
         return

@@ -36,6 +36,29 @@ Rows = npt.NDArray[np.void]
 Ids = npt.NDArray[np.int64]
 
 FORMAT = 2  # of the tables: 1 had one row for each observation
+LEDGER = """
+CREATE TABLE contribution (
+    number {bigint} PRIMARY KEY,
+    vehicle text NOT NULL,
+    kind text NOT NULL,
+    id text NOT NULL,
+    digest {blob} NOT NULL,
+    received_ns {bigint} NOT NULL,
+    records integer NOT NULL,
+    datum text NOT NULL,
+    map_version {bigint} NOT NULL,
+    epoch_year double precision NOT NULL,
+    position_covariance_enu_m2 {blob},
+    UNIQUE (vehicle, kind, id)
+)"""
+TABLES = (
+    "CREATE TABLE vote (surface_id {bigint} PRIMARY KEY, rows {blob} NOT NULL)",
+    "CREATE TABLE state (name text PRIMARY KEY, value {blob} NOT NULL)",
+    'CREATE TABLE progress ("cursor" {bigint} NOT NULL, revision {bigint} NOT NULL, forgotten {bigint} NOT NULL)',
+    "INSERT INTO progress VALUES (0, 0, 0)",
+    "CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL)",
+)
+"""The tables of both databases, with their types of integers of 64 bits and of bytes."""
 LAYOUT = {"observation": json.dumps(OBSERVATION.descr), "vote": json.dumps(VOTE.descr)}
 """Content of the table `layout`: how rows are packed."""
 
