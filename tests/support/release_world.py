@@ -20,6 +20,7 @@ from camber.map_update.fusion.corrections import CORRECTION, Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServer
+from camber.schemas.codec import encode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from support.small_map import MADE_NS, link, surface, write
 
@@ -85,4 +86,5 @@ class Cloud:
         payload = np.frombuffer(self.spoil(reply.payload.tobytes()), np.uint8)
         more = np.frombuffer(self.spoil_more(reply.more_payload.tobytes()), np.uint8)
         self.sent_bytes += len(payload) + len(more)
+        assert len(encode(reply)) <= 256_000
         return reply.model_copy(update={"payload": payload, "more_payload": more, **self.change})

@@ -11,9 +11,11 @@ import numpy as np
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import RoadLinks, RoadSurfaces, write_release
-from camber.schemas.road import ReleaseRoot
+from camber.road_map.tile_grid import tile_of
+from camber.schemas.road import CloudTile, Layer, ReleaseRoot
 
 FRAME = LocalFrame(math.radians(35.17), math.radians(136.9), 0.0)
+TILE = tile_of(FRAME.latitude_rad, FRAME.longitude_rad) or (0, 0)
 DAY_NS = 86_400 * 1_000_000_000
 MADE_NS = 1_400_000_000 * 1_000_000_000
 
@@ -80,6 +82,16 @@ def link(
 def links(rows: Sequence[dict[str, Any]]) -> RoadLinks:
     """Rows as columns."""
     return RoadLinks(**{name: [row[name] for row in rows] for name in link(0, (0, 0), [])})
+
+
+def cloud(
+    x: int, y: int = 2, layer: Layer = "road_cloud", *, points: int = 50, limit: int = 9000, seed: int = 2
+) -> CloudTile:
+    """A tile of points anywhere within `limit` steps of 2 cm."""
+    quanta = np.random.default_rng(seed).integers(-limit, limit, (points, 3)).astype(np.int32)
+    return CloudTile(
+        time_ns=MADE_NS, x=x, y=y, layer=layer, base_height_m=50.0, resolution_m=0.02, quanta=quanta
+    )
 
 
 def write(

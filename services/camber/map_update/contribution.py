@@ -91,6 +91,6 @@ def from_batch(batch: UploadBatch) -> Contribution:
     )
 
 
-def _contribution(message: ElevationUpload | UploadBatch, **own: Any) -> Contribution:
+def _contribution(message: ElevationUpload | UploadBatch, **fields: Any) -> Contribution:
     common = {name: getattr(message, name) for name in ("vehicle", "datum", "map_version", "epoch_year")}
-    return Contribution(**common, **own)
+    return Contribution(**common, **fields)

@@ -86,9 +86,6 @@ def decompress_blob(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BY
     raise ReleaseError("packed blob", "encoding", "r, z, p or s", actual=repr(encoding))
 
 
-# -- zstd ------------------------------------------------------------------------------------------------------------
-
-
 def _compressed(blob: bytes, base: bytes | None) -> bytes:
     size = len(blob) + (0 if base is None else len(base))
     parameters = zstandard.ZstdCompressionParameters.from_level(
@@ -120,9 +117,6 @@ def _dictionary(base: bytes | None) -> zstandard.ZstdCompressionDict | None:
     return zstandard.ZstdCompressionDict(base, dict_type=zstandard.DICT_TYPE_RAWCONTENT)
 
 
-# -- surfaces of a tile ----------------------------------------------------------------------------------------------
-
-
 def _surface_numbers(blob: bytes, base: bytes) -> list[int] | None:
     """Return the changes of a surface tile as integers; None if the blobs are no such tiles or more has changed."""
     try:
@@ -146,31 +140,29 @@ def _numbers(new: SurfaceTile, old: SurfaceTile) -> list[int]:
     nodes, _ = grid_nodes(new, np.arange(len(new.rows)))
     ends = np.cumsum(new.rows.astype(np.int64) * new.columns)
     steps = [np.unique(part) for part in np.split(height[nodes], ends)[:-1]]
-    changed = {
-        _SurfaceChange.SHIFT: np.array([len(each) == 1 and each[0] != 0 for each in steps], bool),
-        _SurfaceChange.NODES: np.array([len(each) > 1 for each in steps], bool),
-        _SurfaceChange.SIGMA: new.sigma_m != old.sigma_m,
-        _SurfaceChange.VEHICLES: new.vehicles != old.vehicles,
-        _SurfaceChange.SEEN: new.last_seen_ns != old.last_seen_ns,
-    }
-    what = np.sum([int(flag) * rows for flag, rows in changed.items()], axis=0)
-    rows = np.flatnonzero(what)
-    rows_with = {flag: np.flatnonzero(rows) for flag, rows in changed.items()}
-    ages = (new.time_ns - new.last_seen_ns[rows_with[_SurfaceChange.SEEN]]).tolist()
-    divisor = max(math.gcd(*ages), 1)
-    sigma = np.round(new.sigma_m[rows_with[_SurfaceChange.SIGMA]].astype(np.float64) * _STEPS_PER_M).astype(
-        np.int64
+    changed = (
+        np.array([len(each) == 1 and each[0] != 0 for each in steps], bool),
+        np.array([len(each) > 1 for each in steps], bool),
+        new.sigma_m != old.sigma_m,
+        new.vehicles != old.vehicles,
+        new.last_seen_ns != old.last_seen_ns,
     )
+    what = np.sum([int(flag) * column for flag, column in zip(_SurfaceChange, changed, strict=True)], axis=0)
+    rows = np.flatnonzero(what)
+    shifted, bent, sigma, vehicles, seen = map(np.flatnonzero, changed)
+    ages = (new.time_ns - new.last_seen_ns[seen]).tolist()
+    divisor = max(math.gcd(*ages), 1)
+    sigma_steps = np.round(new.sigma_m[sigma].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
     return [
         len(rows),
         _zigzag(new.time_ns - old.time_ns),
         divisor,
         *np.diff(rows, prepend=-1).tolist(),
         *what[rows].tolist(),
-        *map(_zigzag, height[new.first_height[rows_with[_SurfaceChange.SHIFT]]].tolist()),
-        *map(_zigzag, height[grid_nodes(new, rows_with[_SurfaceChange.NODES])[0]].tolist()),
-        *sigma.tolist(),
-        *new.vehicles[rows_with[_SurfaceChange.VEHICLES]].tolist(),
+        *map(_zigzag, height[new.first_height[shifted]].tolist()),
+        *map(_zigzag, height[grid_nodes(new, bent)[0]].tolist()),
+        *sigma_steps.tolist(),
+        *new.vehicles[vehicles].tolist(),
         *(_zigzag(age // divisor) for age in ages),
     ]
 
@@ -189,26 +181,24 @@ def _with_changes(base: bytes, numbers: _Numbers) -> bytes:
     what = np.array(numbers.take(count), np.int64)
     if count and (rows[0] < 0 or (np.diff(rows) <= 0).any() or rows[-1] >= len(old.rows)):
         raise ValueError("rows beyond the tile")
-    rows_with = {flag: rows[(what & int(flag)) != 0] for flag in _SurfaceChange}
-    shifted, of_surface = grid_nodes(old, rows_with[_SurfaceChange.SHIFT])
-    bent, _ = grid_nodes(old, rows_with[_SurfaceChange.NODES])
-    shifts = np.array(
-        [_signed(number) for number in numbers.take(len(rows_with[_SurfaceChange.SHIFT]))], np.int64
-    )
-    steps = np.array([_signed(number) for number in numbers.take(len(bent))], np.int64)
+    shifted, bent, sigma, vehicles, seen = (rows[(what & int(flag)) != 0] for flag in _SurfaceChange)
+    shifted_nodes, of_surface = grid_nodes(old, shifted)
+    bent_nodes, _ = grid_nodes(old, bent)
+    shifts = np.array([_signed(number) for number in numbers.take(len(shifted))], np.int64)
+    steps = np.array([_signed(number) for number in numbers.take(len(bent_nodes))], np.int64)
     raised_m = np.concatenate((shifts[of_surface], steps)) / _STEPS_PER_M
-    sigma_m = np.array(numbers.take(len(rows_with[_SurfaceChange.SIGMA])), np.float64) / _STEPS_PER_M
-    vehicles = np.array(numbers.take(len(rows_with[_SurfaceChange.VEHICLES])), np.int32)
-    seen_ns = [time_ns - _signed(age) * divisor for age in numbers.take(len(rows_with[_SurfaceChange.SEEN]))]
+    sigma_m = np.array(numbers.take(len(sigma)), np.float64) / _STEPS_PER_M
+    vehicle_counts = np.array(numbers.take(len(vehicles)), np.int32)
+    seen_ns = [time_ns - _signed(age) * divisor for age in numbers.take(len(seen))]
     numbers.finish()
     return encode(
         changed_tile(
             old,
             time_ns=time_ns,
-            raised=(np.concatenate((shifted, bent)), raised_m),
-            sigma_m=(rows_with[_SurfaceChange.SIGMA], sigma_m),
-            vehicles=(rows_with[_SurfaceChange.VEHICLES], vehicles),
-            last_seen_ns=(rows_with[_SurfaceChange.SEEN], np.array(seen_ns, np.int64)),
+            raised=(np.concatenate((shifted_nodes, bent_nodes)), raised_m),
+            sigma_m=(sigma, sigma_m),
+            vehicles=(vehicles, vehicle_counts),
+            last_seen_ns=(seen, np.array(seen_ns, np.int64)),
         )
     )
 
@@ -217,9 +207,6 @@ def _heights(tile: SurfaceTile) -> Integers:
     heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
     steps: Integers = np.round(heights_m * _STEPS_PER_M).astype(np.int64)
     return steps
-
-
-# -- numbers ---------------------------------------------------------------------------------------------------------
 
 
 def _zigzag(number: int) -> int:

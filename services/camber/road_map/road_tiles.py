@@ -23,9 +23,6 @@ _ANGLE_DECIMALS, _YAW_DECIMALS, _HEIGHT_DECIMALS = 11, 9, 4
 _PLANE_DECIMALS = 6  # of metres: the last bits of sines differ between machines
 
 
-# -- to tiles --------------------------------------------------------------------------------------------------------
-
-
 def surface_tiles(surfaces: RoadSurfaces) -> list[SurfaceTile]:
     """Make the tiles of all surfaces; a surface within MARGIN_M of several tiles is whole in each.
 
@@ -126,9 +123,6 @@ def _by_tile(row: Integers, x: Integers, y: Integers, ids: Integers) -> Iterable
         yield (int(group[0, 0]), int(group[0, 1])), group[:, 3]
 
 
-# -- changes of a tile -----------------------------------------------------------------------------------------------
-
-
 def grid_nodes(tile: SurfaceTile, surfaces: Integers) -> tuple[Integers, Integers]:
     """Return the rows (m,) of `grid_m` of some surfaces (k,), and the place in `surfaces` of each."""
     sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
@@ -150,9 +144,6 @@ def changed_tile(
     for name, (rows, values) in columns.items():
         changed[name][rows] = values
     return SurfaceTile(**tile.__dict__ | changed | {"time_ns": time_ns, "grid_m": grid_m})
-
-
-# -- from tiles ------------------------------------------------------------------------------------------------------
 
 
 def surfaces_from_tiles(tiles: Iterable[SurfaceTile]) -> RoadSurfaces:
@@ -195,9 +186,6 @@ def _each_once(
     _, first = np.unique(columns[names[0]], return_index=True)
     lists = [item for part in parts for item in part[ragged]]
     return {name: column[first] for name, column in columns.items()} | {ragged: [lists[i] for i in first]}
-
-
-# -- small parts -----------------------------------------------------------------------------------------------------
 
 
 def _rounded(angle_rad: Floats) -> Floats:

@@ -86,8 +86,6 @@ class MapStore:
         with self._errors():
             self._db = self._opened_read_only() if read_only else self._opened()
 
-    # -- as a source of blobs ----------------------------------------------------------------------------------------
-
     def stamp(self) -> object | None:
         """Return version and manifest of the active release."""
         kept = self.current()
@@ -111,8 +109,6 @@ class MapStore:
     def to_verify(self, digest: str) -> bool:
         """No blob: each was verified on arrival, and is again whenever it is read."""
         return False
-
-    # -- releases ----------------------------------------------------------------------------------------------------
 
     def current(self) -> StoredRelease | None:
         """Return the active release."""
@@ -217,8 +213,6 @@ class MapStore:
             )
             db.execute(_SET_FACT, ("highest", map_version))
 
-    # -- blobs and parts of them -------------------------------------------------------------------------------------
-
     def missing(self, digests: Iterable[str]) -> list[str]:
         """Return the missing ones, in their order."""
         return [each for each in digests if not self._select("SELECT 1 FROM blob WHERE sha256 = ?", each)]
@@ -275,8 +269,6 @@ class MapStore:
     def close(self) -> None:
         """Close the file."""
         self._db.close()
-
-    # -- the file ----------------------------------------------------------------------------------------------------
 
     def _opened_read_only(self) -> sqlite3.Connection:
         return sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=_WAIT_S)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,10 @@ from scipy.interpolate import RegularGridInterpolator
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.elevation import REASONS, ElevationMap
 from camber.map_server.road_selection import SelectedRoads
-from camber.road_map.release import read_release
 from camber.road_map.road_tiles import link_tiles, surface_tiles
-from camber.road_map.tile_grid import tile_corners_rad, tile_of
+from camber.road_map.tile_grid import tile_corners_rad
 from camber.schemas.pose import Road
-from support.small_map import FRAME, at, link, links, surface, surfaces, write
+from support.small_map import FRAME, TILE, at, link, links, surface, surfaces
 
 Rows = Sequence[dict[str, Any]]
 
@@ -55,9 +53,6 @@ OVERPASS = [
 ]
 
 
-# -- heights ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_plane_gives_its_height_slope_and_names() -> None:
     # 1 m higher in front than behind over 20 m: 5 % along a yaw of 90°, that is to the north.
     result = road(
@@ -69,12 +64,6 @@ def test_a_plane_gives_its_height_slope_and_names() -> None:
     assert result.sigma_m == pytest.approx(0.03)
     assert result.slope_north == pytest.approx(0.05, abs=1e-5)
     assert result.slope_east == pytest.approx(0.0, abs=1e-5)
-
-
-def test_columns_run_from_right_to_left() -> None:
-    result = road([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 0.0, 1.0)
-    assert result.elevation_m == pytest.approx(50.3, abs=1e-4)  # north is left of a road to the east
-    assert result.slope_north == pytest.approx(0.1, abs=1e-5)
 
 
 def test_the_extent_of_a_plane_is_smaller_on_a_curved_grid() -> None:
@@ -150,9 +139,6 @@ def _brute_force(rows: Rows, point_m: np.ndarray, frame: LocalFrame) -> Any:
     return None if best is None else best[1:]
 
 
-# -- where there is a surface ----------------------------------------------------------------------------------------
-
-
 def test_where_there_is_no_surface_nothing_is_known() -> None:
     nothing = Road(status="unknown", reason="no_surface")
     assert road([surface(5)], 30.0, 0.0) == nothing
@@ -186,9 +172,7 @@ def test_beyond_its_edge_a_surface_is_extrapolated_with_its_slope() -> None:
 
 @pytest.mark.parametrize("share", [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (1.0, 1.0), (1.0, 0.5)])
 def test_a_point_on_the_border_of_tiles_is_answered_as_any_other(share: tuple[float, float]) -> None:
-    tile = tile_of(FRAME.latitude_rad, FRAME.longitude_rad)
-    assert tile is not None
-    south, west, north, east = tile_corners_rad(*tile)
+    south, west, north, east = tile_corners_rad(*TILE)
     latitude = south + share[0] * (north - south)
     longitude = west + share[1] * (east - west)
     centre_m = FRAME.east_north_from_geodetic(latitude, longitude, 0.0)
@@ -217,9 +201,6 @@ def test_a_tile_is_read_on_first_use_and_errors_are_passed_on() -> None:
         with pytest.raises(OSError, match="gone"):
             the_map.road(*at(0.0, 0.0))
     assert len(asked) == 2  # a failure is not kept
-
-
-# -- which of several ------------------------------------------------------------------------------------------------
 
 
 AMBIGUOUS = "levels_ambiguous"
@@ -313,9 +294,6 @@ def test_what_is_known_never_contradicts_the_topology(
             assert on_candidate or {level_of[i] for i in link_ids if i in level_of} <= {result.level}
 
 
-# -- the road around an uncertain point ------------------------------------------------------------------------------
-
-
 def around(rows: Rows, radius_m: float, east_m: float = 0.0, north_m: float = 0.0, **topology: Any) -> Road:
     return map_of(rows, LINKS).road_around(*at(east_m, north_m), radius_m, **topology)
 
@@ -373,9 +351,6 @@ def test_a_point_on_a_level_without_candidates_is_next_to_the_road() -> None:
     assert (result.status, result.surface_id, result.level, result.extent_m) == ("known", 10, 0, 0.0)
 
 
-# -- many points -----------------------------------------------------------------------------------------------------
-
-
 def _tangle(seed: int, frame: LocalFrame = FRAME) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Surfaces all over one another on two levels, partly agreeing."""
     rng = np.random.default_rng(seed)
@@ -424,18 +399,8 @@ def _assert_each_as_if_alone(columns: SelectedRoads, alone: list[Road]) -> None:
         assert np.abs(getattr(columns, name) - want).max() < 1e-9, name
 
 
-@pytest.mark.parametrize("topology", [{}, {"link_ids": (1,)}, {"link_ids": (0, 4)}, {"last_surface_id": 6}])
-@pytest.mark.parametrize("seed", range(4))
-def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -> None:
-    the_map = map_of(*_tangle(seed, CORNER))
-    latitude, longitude = _points(seed)
-    points = zip(latitude.tolist(), longitude.tolist(), strict=True)
-    alone = [the_map.road(*point, **topology) for point in points]
-    _assert_each_as_if_alone(the_map.roads(latitude, longitude, **topology), alone)
-
-
 @pytest.mark.parametrize("seed", range(8))
-def test_many_points_with_links_and_last_surface_each_are_as_if_alone(seed: int) -> None:
+def test_many_points_are_each_as_if_alone(seed: int) -> None:
     the_map = map_of(*_tangle(seed, CORNER))
     latitude, longitude = _points(seed)
     rng = np.random.default_rng(seed + 200)
@@ -448,21 +413,19 @@ def test_many_points_with_links_and_last_surface_each_are_as_if_alone(seed: int)
         for *point, of_point, surface_id in each
     ]
     _assert_each_as_if_alone(the_map.roads_each(latitude, longitude, links, last), alone)
+    for link_ids, last_surface_id in (((), None), ((1,), None), ((0, 4), None), ((), 6)):
+        columns = (
+            np.tile(np.array(link_ids, int), (len(latitude), 1)),
+            np.full(len(latitude), last_surface_id or -1),
+        )
+        each = the_map.roads_each(latitude, longitude, *columns)
+        together = the_map.roads(latitude, longitude, link_ids, last_surface_id)
+        assert [column.tolist() for column in together] == [column.tolist() for column in each]
 
 
-def test_no_points_give_no_roads() -> None:
+def test_points_of_a_wrong_shape_are_refused_and_none_have_no_roads() -> None:
     assert len(map_of([surface(5)]).roads([], []).known) == 0
-
-
-def test_points_of_a_wrong_shape_are_refused() -> None:
     with pytest.raises(ValueError, match=r"expected \(n,\), got \(2,\), \(1,\)"):
         map_of([surface(5)]).roads([0.0, 0.0], [0.0])
     with pytest.raises(ValueError, match=r"expected \(1, c\), \(1,\), got \(1,\), \(1,\)"):
         map_of([surface(5)]).roads_each([0.0], [0.0], [1], [1])
-
-
-def test_a_release_on_disk_answers_as_the_tables_it_was_made_of(tmp_path: Path) -> None:
-    write(tmp_path, OVERPASS, LINKS)
-    release = read_release(tmp_path)
-    on_disk = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=7)
-    assert on_disk.road(*at(0.0, 0.0), [GROUND]) == road(OVERPASS, 0.0, 0.0, LINKS, link_ids=[GROUND])

@@ -14,7 +14,6 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from camber.map_server.service import MapServerService
 from camber.map_server.settings import MapServerSettings
 from camber.road_map.release import ROOT_NAME
-from camber.road_map.tile_grid import tile_of
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
 from camber.schemas.base import Message
@@ -31,7 +30,7 @@ from camber.schemas.road import (
 )
 from support.fake_bus import FakeBus
 from support.release_world import KEY, LINK
-from support.small_map import DAY_NS, FRAME, MADE_NS, at, surface, write
+from support.small_map import DAY_NS, MADE_NS, TILE, at, surface, write
 
 
 class Server:
@@ -60,9 +59,8 @@ class Server:
         return cast(LinksReply, self.ask("links", LinksRequest, **place(), radius_m=50.0))
 
     def tile(self, layer: Layer = "surfaces", **fields: Any) -> TileReply:
-        tile = tile_of(FRAME.latitude_rad, FRAME.longitude_rad)
-        assert tile is not None
-        return cast(TileReply, self.ask("tile", TileRequest, x=tile[0], y=tile[1], layer=layer, **fields))
+        x, y = TILE
+        return cast(TileReply, self.ask("tile", TileRequest, x=x, y=y, layer=layer, **fields))
 
     def assert_unknown(self, reason: str) -> None:
         assert self.road() == Road(status="unknown", reason=reason)

@@ -17,9 +17,8 @@ from camber.map_update.fusion.corrections import NONE
 from camber.map_update.release.release_builder import ReleaseBuilder, history
 from camber.road_map.release import BlobMissingError, Release, ReleaseError, open_release, read_release
 from camber.road_map.store import MapStore, StoreFullError
-from camber.schemas.road import CloudTile
 from support.release_world import KEY, OTHER_KEY, STEP_M, Cloud, making, offsets
-from support.small_map import MADE_NS, at, surface, write
+from support.small_map import MADE_NS, at, cloud, surface, write
 
 FIVES = offsets(s1=0.05, s3=0.05, s5=0.05)
 
@@ -87,13 +86,6 @@ def fetched_in_cuts(folder: Path) -> list[tuple[str, int]]:
     return asked
 
 
-def cloud_tile(x: int, points: int, limit: int) -> CloudTile:
-    quanta = np.random.default_rng(x).integers(-limit, limit, (points, 3)).astype(np.int32)
-    return CloudTile(
-        time_ns=MADE_NS, x=x, y=2, layer="road_cloud", base_height_m=0.0, resolution_m=0.01, quanta=quanta
-    )
-
-
 def test_a_vehicle_gets_the_release_and_then_only_what_changed(
     tmp_path: Path, builder: ReleaseBuilder, vehicle: Vehicle
 ) -> None:
@@ -115,7 +107,7 @@ def test_a_download_that_is_cut_continues_where_it_was(tmp_path: Path, builder: 
 
 
 def test_a_large_blob_continues_at_the_part_that_is_missing(tmp_path: Path) -> None:
-    write(tmp_path / "out", [surface(1)], clouds=[cloud_tile(1, 80_000, 2**20)], signing_key=KEY)
+    write(tmp_path / "out", [surface(1)], clouds=[cloud(1, points=80_000, limit=2**20)], signing_key=KEY)
     assert max(part for _, part in fetched_in_cuts(tmp_path)) >= 2
 
 
@@ -211,7 +203,7 @@ def test_where_a_difference_does_not_lead_to_the_blob_the_whole_one_is_fetched(
 
 
 def test_a_full_store_keeps_the_old_release(tmp_path: Path, vehicle: Vehicle) -> None:
-    clouds = [cloud_tile(k, 9000, 2**30) for k in range(4)]
+    clouds = [cloud(k, points=9000, limit=2**30, seed=k) for k in range(4)]
     write(tmp_path / "out", [surface(1)], map_version=20, clouds=clouds, signing_key=KEY)
     small = Vehicle(tmp_path, limit_bytes=300_000)
     with pytest.raises(StoreFullError):
@@ -286,9 +278,6 @@ def test_a_damaged_blob_is_fetched_again(tmp_path: Path, vehicle: Vehicle) -> No
     assert vehicle.store.missing(open_release(vehicle.store).hashes())
     vehicle.fetch()
     assert vehicle.surfaces() == 8
-
-
-# -- schedule --------------------------------------------------------------------------------------------------------
 
 
 def thread_of(vehicle: Vehicle, folder: FolderSupplier | None = None) -> DownloadThread:

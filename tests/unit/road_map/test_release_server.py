@@ -5,15 +5,13 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-import numpy as np
-
 from camber.map_update.fusion.corrections import NONE
 from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServer
-from camber.schemas.codec import decode, encode
+from camber.schemas.codec import decode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
-from camber.schemas.road import CloudTile, ReleaseRoot
+from camber.schemas.road import ReleaseRoot
 from support.release_world import making, offsets
 from support.small_map import MADE_NS, surface, write
 
@@ -44,20 +42,6 @@ def test_the_newest_root_is_sent_once(tmp_path: Path) -> None:
     assert root_of(serving, region="elsewhere").reason == "releases here are of test"
     head = serving.head(time_ns=MADE_NS)
     assert (head.map_version, head.manifest_sha256) == (root.map_version, root.manifest_sha256)
-
-
-def test_a_large_blob_comes_in_parts_that_fit_into_replies(tmp_path: Path) -> None:
-    quanta = np.random.default_rng(1).integers(-(2**20), 2**20, (80_000, 3)).astype(np.int32)
-    tile = CloudTile(
-        time_ns=MADE_NS, x=1, y=2, layer="road_cloud", base_height_m=0.0, resolution_m=0.01, quanta=quanta
-    )
-    write(tmp_path, [surface(1)], clouds=[tile])
-    digest = open_release(tmp_path).sha256("road_cloud", 1, 2)
-    assert digest is not None
-    replies = fetched(ReleaseServer(tmp_path), digest)
-    assert len(replies) > 2
-    assert max(len(encode(reply)) for reply in replies) <= 256_000
-    assert hashlib.sha256(put_together(replies)).hexdigest() == digest
 
 
 def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:

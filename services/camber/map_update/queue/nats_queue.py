@@ -19,10 +19,9 @@ import asyncio
 import contextlib
 import math
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
-from typing import TypeVar
 from urllib.parse import urlsplit
 
 import nats.errors
@@ -40,11 +39,9 @@ from camber.map_update.queue.queue_messages import (
     unpack_contributions,
     unpack_outcomes,
 )
-from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
+from camber.map_update.stores.reconnecting_client import ReconnectingClient
 from camber.map_update.stores.shards import Shards
 from camber.map_update.stores.store import Outcome
-
-T = TypeVar("T")
 
 STREAM = "CAMBER_UPLOADS"
 _SUBJECT = "camber.uploads"
@@ -76,22 +73,16 @@ class _Queue:
         self._host = f"nats://{parts.hostname}:{parts.port or 4222}"
         self._user, self._password, self._limit_s = parts.username, password, limit_s
         self._client: ReconnectingClient[_NatsConnection] = ReconnectingClient(
-            self._host, self._connect, _disconnect, (nats.errors.Error,)
+            self._host, self._connect, _disconnect, (nats.errors.Error,), QueueError
         )
 
     def check(self) -> None:
         """Answer the server's pings; reconnect if the connection was lost. Raises QueueError."""
-        self._run(self._check)
+        self._client.run(self._check)
 
     def close(self) -> None:
         """Disconnect from the queue."""
         self._client.close()
-
-    def _run(self, work: Callable[[_NatsConnection], Awaitable[T]]) -> T:
-        try:
-            return self._client.run(work)
-        except ConnectionFailedError as error:
-            raise QueueError(str(error)) from error
 
     async def _check(self, connection: _NatsConnection) -> None:
         await asyncio.sleep(0)
@@ -164,7 +155,7 @@ class QueueSender(_Queue):
                 by_shard.setdefault(shard, []).append((n, QueuedContribution(part, item.refusal)))
         messages = [(shard, chunk) for shard, items in by_shard.items() for chunk in _chunks(items)]
         requests = [(shard, [item for _, item in chunk]) for shard, chunk in messages]
-        replies = self._run(lambda connection: self._request(connection, requests))
+        replies = self._client.run(lambda connection: self._request(connection, requests))
         outcomes: list[list[Outcome | None]] = [[] for _ in queued]
         for (_, chunk), reply in zip(messages, replies, strict=True):
             for (n, _), outcome in zip_longest(chunk, reply or ()):
@@ -241,7 +232,7 @@ class QueueReceiver(_Queue):
 
     def take(self, wait_s: float) -> list[QueueDelivery]:
         """Return what was delivered, after at most `wait_s`. Raises QueueError if the queue is not reached."""
-        return self._run(lambda connection: self._taken(connection, wait_s))
+        return self._client.run(lambda connection: self._taken(connection, wait_s))
 
     def acknowledge(self, deliveries: Sequence[QueueDelivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
         """Report the outcomes after the commit; the deliveries are not repeated."""
@@ -252,7 +243,7 @@ class QueueReceiver(_Queue):
                 await delivery.message.ack()
             await asyncio.sleep(0)
 
-        self._run(work)
+        self._client.run(work)
 
     def redeliver(self, deliveries: Sequence[QueueDelivery]) -> None:
         """Request redelivery in a second, to any worker of the shard: the deliveries could not be stored."""
@@ -262,7 +253,7 @@ class QueueReceiver(_Queue):
                 await delivery.message.nak(delay=_REDELIVER_S)
             await asyncio.sleep(0)
 
-        self._run(work)
+        self._client.run(work)
 
     async def _ready(self, connection: _NatsConnection) -> None:
         await super()._ready(connection)

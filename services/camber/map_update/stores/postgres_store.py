@@ -16,17 +16,17 @@ Commits request `synchronous_commit`, and a server with `fsync = off` is refused
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import groupby
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import urlsplit
 
 import asyncpg
 
 from camber.map_update.contribution import Contribution
 from camber.map_update.stores.postgres_tables import CREATE
-from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
+from camber.map_update.stores.reconnecting_client import ReconnectingClient
 from camber.map_update.stores.store import (
     FORMAT,
     LAYOUT,
@@ -38,8 +38,6 @@ from camber.map_update.stores.store import (
     ledger_row,
     settle,
 )
-
-T = TypeVar("T")
 
 PARTITION = 8192
 """Chosen: contributions of one partition; with batches of 64 half a million observations, 45 MB."""
@@ -64,7 +62,7 @@ class PostgresStore(Store):
         self._address, self._password, self._limit_s = address, password, limit_s
         broken = (asyncpg.PostgresError, asyncpg.InterfaceError)
         self._client: ReconnectingClient[asyncpg.Connection] = ReconnectingClient(
-            self.name, self._connected, _terminate, broken
+            self.name, self._connected, _terminate, broken, StoreError
         )
         try:
             self.check()
@@ -78,20 +76,14 @@ class PostgresStore(Store):
         self, contributions: Sequence[Contribution], now_ns: int, refusal_of: RefusalCheck
     ) -> list[Outcome]:
         """See `Store.commit`."""
-        return self._run(lambda db: self._commit(db, contributions, now_ns, refusal_of))
+        return self._client.run(lambda db: self._commit(db, contributions, now_ns, refusal_of))
 
     def close(self) -> None:
         """Disconnect from the server."""
         self._client.close()
 
-    def _run(self, work: Callable[[asyncpg.Connection], Awaitable[T]]) -> T:
-        try:
-            return self._client.run(work)
-        except ConnectionFailedError as error:
-            raise StoreError(str(error)) from error
-
     def _fetch(self, query: str, *parameters: object) -> list[Any]:
-        return self._run(lambda db: db.fetch(query, *parameters))
+        return self._client.run(lambda db: db.fetch(query, *parameters))
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -101,14 +93,14 @@ class PostgresStore(Store):
             await db.execute("SELECT 1 FROM progress FOR UPDATE")
             return transaction
 
-        transaction = self._run(begin)
+        transaction = self._client.run(begin)
         try:
             yield
         except BaseException:
             with suppress(StoreError):  # without a connection the server has rolled it back
-                self._run(lambda _: transaction.rollback())
+                self._client.run(lambda _: transaction.rollback())
             raise
-        self._run(lambda _: transaction.commit())
+        self._client.run(lambda _: transaction.commit())
 
     def _delete_observations(self, first: int, last: int) -> None:
         for k in range((first - 1) // PARTITION, (last - 1) // PARTITION + 1):

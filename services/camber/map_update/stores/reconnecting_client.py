@@ -17,14 +17,11 @@ SHORTEST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 2.0
 
 
-class ConnectionFailedError(RuntimeError):
-    """The server was not reached; the text names it, without credentials, and the cause."""
-
-
 class ReconnectingClient(Generic[C]):
     """Connects with `connect`, disconnects with `disconnect`; after `broken` errors it reconnects.
 
-    `name` prefixes every error message. After a failure all calls fail at once for 0.2 s to 2 s.
+    If the server is not reached, `error` is raised with the `name`, without credentials, and the cause; all calls then
+    fail at once for 0.2 s to 2 s.
     """
 
     def __init__(
@@ -33,8 +30,10 @@ class ReconnectingClient(Generic[C]):
         connect: Callable[[], Awaitable[C]],
         disconnect: Callable[[C], Awaitable[None]],
         broken: tuple[type[Exception], ...],
+        error: type[Exception],
     ) -> None:
         self.name = name
+        self._error = error
         self._connect, self._disconnect = connect, disconnect
         self._broken: tuple[type[Exception], ...] = (*broken, OSError, TimeoutError)
         self._loop = asyncio.new_event_loop()
@@ -42,9 +41,9 @@ class ReconnectingClient(Generic[C]):
         self._pause_s, self._closed_until_s, self._cause = SHORTEST_PAUSE_S, 0.0, ""
 
     def run(self, work: Callable[[C], Awaitable[T]]) -> T:
-        """What `work` returns of a live connection. Raises LinkError, and then there is no connection."""
+        """Return what `work` returns of a live connection. After an error there is no connection."""
         if self._loop.time() < self._closed_until_s:
-            raise ConnectionFailedError(self._cause)
+            raise self._error(self._cause)
         try:
             return self._loop.run_until_complete(self._work(work))
         except self._broken as error:
@@ -52,7 +51,7 @@ class ReconnectingClient(Generic[C]):
             self._cause = f"{self.name}: {str(error) or type(error).__name__}"
             self._closed_until_s = self._loop.time() + self._pause_s
             self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-            raise ConnectionFailedError(self._cause) from error
+            raise self._error(self._cause) from error
 
     def close(self) -> None:
         """Disconnect."""
