@@ -134,9 +134,7 @@ class ElevationMap:
             return road
         east_m, north_m = radius_m * _LATTICE[0], radius_m * _LATTICE[1]
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
-        points = frame.geodetic_from_east_north_array(
-            np.column_stack((east_m, north_m)), np.zeros(len(east_m))
-        )
+        points = frame.geodetic_from_east_north_array(np.column_stack((east_m, north_m)), 0.0)
         roads = self.roads(points[0], points[1], links, last_surface_id)
         undecided = not links and len(np.unique(roads.level)) > 1
         if undecided or (roads.ambiguous & ~roads.elsewhere).any():
@@ -175,8 +173,7 @@ class ElevationMap:
     ) -> RoadsAhead:
         """Return `roads` at places given relative to a point."""
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
-        plane_m = np.column_stack((places.east_m, places.north_m))
-        points = frame.geodetic_from_east_north_array(plane_m, np.zeros(len(plane_m)))
+        points = frame.geodetic_from_east_north_array(np.column_stack((places.east_m, places.north_m)), 0.0)
         roads = self.roads(points[0], points[1], link_ids, last_surface_id)
         return RoadsAhead(
             place=roads.known.astype(np.int32),
@@ -226,10 +223,8 @@ class ElevationMap:
             for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
                 index = self._index(tile)
                 if index is None:
-                    sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = (
-                        codes.NO_SURFACE,
-                        False,
-                    )
+                    sorted_roads.reason[first:end] = codes.NO_SURFACE
+                    sorted_roads.elsewhere[first:end] = False
                 else:
                     select_roads(
                         index.table,
@@ -282,9 +277,7 @@ class ElevationMap:
             connected, levels = self._find_last(tile, last_surface_id)
         if candidates:
             near = self._links_near(tile)
-            levels = frozenset(
-                links.level[link] for links in near for link in candidates if link in links.level
-            )
+            levels = frozenset(links.level[i] for links in near for i in candidates if i in links.level)
         return Topology(candidates=candidates, connected=connected, levels=levels)
 
     def _find_last(self, tile: Tile, surface_id: int) -> tuple[frozenset[int], frozenset[int]]:

@@ -38,7 +38,7 @@ def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int)
     if not len(points_m):
         return []
     nodes = _NodeGrid(points_m)
-    latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, np.zeros(len(nodes.plane_m)))
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, 0.0)
     everything = np.arange(len(points_m))
     at_latitude, at_longitude = nodes.between(latitude, everything), nodes.between(longitude, everything)
     tiles = []
@@ -54,14 +54,11 @@ def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int)
         )
         if not len(rows):
             continue
-        plane = tile_frame(tile_x, tile_y).east_north_from_geodetic_array(
-            latitude, longitude, np.zeros(len(latitude))
-        )
+        plane = tile_frame(tile_x, tile_y).east_north_from_geodetic_array(latitude, longitude, 0.0)
         height = points_m[rows, 2]
         base = float(np.round(np.median(height)))
-        about = np.column_stack(
-            (nodes.between(plane[:, 0], rows), nodes.between(plane[:, 1], rows), height - base)
-        )
+        east_m, north_m = (nodes.between(axis, rows) for axis in plane.T)
+        about = np.column_stack((east_m, north_m, height - base))
         tiles.append(
             CloudTile(
                 time_ns=seen_ns,

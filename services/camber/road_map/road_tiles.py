@@ -37,10 +37,8 @@ def surface_tiles(surfaces: RoadSurfaces) -> list[SurfaceTile]:
 
 def _surface_tile(tile: Tile, rows: Integers, surfaces: RoadSurfaces) -> SurfaceTile:
     frame = tile_frame(*tile)
-    latitude_rad, longitude_rad = (
-        _rounded(surfaces.latitude_rad[rows]),
-        _rounded(surfaces.longitude_rad[rows]),
-    )
+    latitude_rad = _rounded(surfaces.latitude_rad[rows])
+    longitude_rad = _rounded(surfaces.longitude_rad[rows])
     plane_m = _plane(frame, latitude_rad, longitude_rad)
     yaw_rad = np.round(surfaces.yaw_rad[rows], _YAW_DECIMALS) + _convergence(frame, longitude_rad)
     heights_m = [np.round(surfaces.heights_m[row].ravel(), _HEIGHT_DECIMALS) for row in rows]
@@ -194,11 +192,8 @@ def _rounded(angle_rad: Floats) -> Floats:
 
 
 def _plane(frame: LocalFrame, latitude_rad: Floats, longitude_rad: Floats) -> Floats:
-    plane_m = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, np.zeros(len(latitude_rad)))
-    rounded: Floats = (
-        np.round(plane_m, _PLANE_DECIMALS) + 0.0
-    )  # no −0.0, so that equal values have equal bytes
-    return rounded
+    plane_m = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, 0.0)
+    return np.round(plane_m, _PLANE_DECIMALS) + 0.0  # no −0.0, so that equal values have equal bytes
 
 
 def _geodetic(frame: LocalFrame, east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:

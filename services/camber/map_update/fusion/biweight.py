@@ -230,12 +230,7 @@ def _day_of_change(votes: VoteColumns, sigma_m: float, from_day: int, end_day: i
     """
     least_after = _CHANGE_VOTERS + liars
     day = _likeliest_change(
-        votes,
-        sigma_m,
-        from_day=from_day,
-        end_day=end_day,
-        least_before=_CHANGE_VOTERS,
-        least_after=least_after,
+        votes, sigma_m, from_day, end_day, least_before=_CHANGE_VOTERS, least_after=least_after
     )
     if day == from_day:
         return from_day

@@ -50,12 +50,10 @@ class Fusion:
     """Fusion against one reference release, with one secret for pseudonyms and sampling."""
 
     def __init__(self, surfaces: RoadSurfaces, secret: bytes, settings: FusionSettings | None = None) -> None:
-        self._settings = settings or FusionSettings()
+        self._settings = settings = settings or FusionSettings()
         self._secret = check_secret(secret)
         self._reference = SurfaceHeights(surfaces)
-        self.neighbourhood = build_neighbourhood(
-            surfaces, street_m=self._settings.street_m, region_m=_REGION_M
-        )
+        self.neighbourhood = build_neighbourhood(surfaces, street_m=settings.street_m, region_m=_REGION_M)
         # Sessions are days of solar time; a region's easternmost surface is the first to have a new one.
         self._east_rad = float(surfaces.longitude_rad.max(initial=-np.pi))
 

@@ -114,10 +114,9 @@ def _neighbours(r: _Rectangles, by_latitude: Integers) -> tuple[Integers, Intege
             distance_m = radius_m[a] + radius_m[b]
             if north_m * north_m + east_m * east_m > distance_m * distance_m:
                 continue
-            same_road = (
-                r.level[a] == r.level[b] or _height_step_m(r, a, b, east_m=east_m, north_m=north_m) <= _STEP_M
-            )
-            if same_road and _overlap(r, a, b, east_m=east_m, north_m=north_m):
+            if r.level[a] != r.level[b] and _height_step_m(r, a, b, east_m=east_m, north_m=north_m) > _STEP_M:
+                continue
+            if _overlap(r, a, b, east_m=east_m, north_m=north_m):
                 one.append(a)
                 other.append(b)
     count = np.zeros(n + 1, np.int64)

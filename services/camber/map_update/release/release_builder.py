@@ -82,9 +82,8 @@ class ReleaseBuilder:
         previous = reference.root if current is None else current.root
         version = max(previous.map_version, reference.root.map_version) + 1
         rows = normalize(corrections, before, version)
-        same_reference = (
-            current is not None and current.manifest.reference_sha256 == reference.root.manifest_sha256
-        )
+        used = None if current is None else current.manifest.reference_sha256
+        same_reference = used == reference.root.manifest_sha256
         if same_reference and current is not None and np.array_equal(rows, before):
             return current.root
         if current is not None and not same_reference:
@@ -167,9 +166,8 @@ class ReleaseBuilder:
         source, newer = ReleaseFolder(self.folder), reference_ids
         removed: set[int] = set()
         # From the newest to the oldest: ids that only the older of two successive releases has were removed.
-        corrected = [
-            each.manifest for each in history(self.folder) if each.manifest.reference_sha256 is not None
-        ]
+        manifests = (each.manifest for each in history(self.folder))
+        corrected = [manifest for manifest in manifests if manifest.reference_sha256 is not None]
         for number, manifest in enumerate(corrected):
             ids = surface_ids(source, manifest)
             if number:

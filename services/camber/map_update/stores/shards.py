@@ -31,12 +31,10 @@ class Shards:
         self.keys = tuple(sorted(keys))
         if wrong := [key for key in keys if set(key) - set("0123") or len(key) > ZOOM]:
             raise ValueError(f"{wrong[0]!r}: expected up to {ZOOM} digits 0 to 3")
-        self._starts = np.array([_start(key) for key in self.keys], np.int64)
-        ends = [
-            start + 4 ** (ZOOM - len(key))
-            for start, key in zip(self._starts.tolist(), self.keys, strict=True)
-        ]
-        for end, start in zip([0, *ends], [*self._starts.tolist(), 4**ZOOM], strict=True):
+        starts = [_start(key) for key in self.keys]
+        self._starts = np.array(starts, np.int64)
+        ends = [_start(key) + 4 ** (ZOOM - len(key)) for key in self.keys]
+        for end, start in zip([0, *ends], [*starts, 4**ZOOM], strict=True):
             if start != end:
                 part = _key(min(start, end))
                 what = "no shard has" if start > end else "more than one shard has"

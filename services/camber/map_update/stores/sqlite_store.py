@@ -127,11 +127,9 @@ class SqliteStore(Store):
         self._db.executemany("DELETE FROM vote WHERE surface_id = ?", [(surface,) for surface in emptied])
 
     def _prepare(self, read_only: bool) -> None:
-        for setting in (
-            () if read_only else ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON")
-        ):
+        written = ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON")
+        for setting in (*(() if read_only else written), "cell_size_check = ON"):
             self._fetch(f"PRAGMA {setting}")
-        self._fetch("PRAGMA cell_size_check = ON")
         ((result,),) = self._fetch("PRAGMA integrity_check(1)")
         if result != "ok":
             raise StoreError(f"{self.name}: damaged, restore it from a copy: {result}")

@@ -189,9 +189,8 @@ class Store(abc.ABC):
                 entries.append(LedgerEntry(**dict(zip(ENTRY_COLUMNS, columns, strict=True))))
                 last = entries[-1].number
             full |= len(page) < _PAGE
-        query = (
-            f"SELECT contribution, rows FROM {self._PACKED} WHERE contribution > $1 AND contribution <= $2"
-        )
+        condition = "contribution > $1 AND contribution <= $2"
+        query = f"SELECT contribution, rows FROM {self._PACKED} WHERE {condition}"
         packed = self._fetch(query, cursor, last) if entries else []
         rows = np.frombuffer(b"".join(part for _, part in packed), OBSERVATION)
         sizes = [len(part) // OBSERVATION.itemsize for _, part in packed]

@@ -38,14 +38,8 @@ def heights(
     """Of surfaces that thirty known vehicles have seen on ten days, all agreeing, to 2 mm; but for what is changed."""
     offsets = np.broadcast_to(np.asarray(offset_m, float), (n or np.size(offset_m),)).copy()
     few_m = changes.pop("few_m", 0.004)
-    counts = {
-        "voters": 30,
-        "known_voters": 30,
-        "votes": 40,
-        "days": 10,
-        "first_session": 100,
-        "last_session": 120,
-    }
+    sessions = {"days": 10, "first_session": 100, "last_session": 120}
+    counts = {"voters": 30, "known_voters": 30, "votes": 40, **sessions}
     values = {"standard_error_m": 0.002, "degrees": 40.0, "agreement": 0.95, **counts, **changes}
     columns = {name: np.full(len(offsets), value) for name, value in values.items()}
     return FusedHeights(

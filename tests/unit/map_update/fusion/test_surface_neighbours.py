@@ -46,19 +46,14 @@ def test_a_road_continues_where_its_level_changes() -> None:
     ramp = np.array([[50.0, 50.0], [52.0, 52.0]])  # rises ahead, to where the bridge begins
     bridge = surface(2, 20.2, level=1, heights_m=52.0)
     assert neighbours(made(surface(1, heights_m=ramp), bridge), 1) == {2}
-    assert (
-        neighbours(made(surface(1, heights_m=ramp[::-1]), bridge), 1) == set()
-    )  # a street that ends beneath it
+    # A street that ends beneath it.
+    assert neighbours(made(surface(1, heights_m=ramp[::-1]), bridge), 1) == set()
 
 
 def test_rectangles_in_a_bend_meet_by_their_sides() -> None:
     """Both rectangles' circles overlap; turned by 45° they meet only at the nearer distance."""
-    near, far = (
-        made(surface(1), surface(2, 13.5, 6.0, yaw_rad=math.pi / 4)),
-        made(surface(1), surface(2, 8.0, 14.0, yaw_rad=math.pi / 4)),
-    )
-    assert neighbours(near, 1) == {2}
-    assert neighbours(far, 1) == set()
+    for place_m, expected in ((13.5, 6.0), {2}), ((8.0, 14.0), set()):
+        assert neighbours(made(surface(1), surface(2, *place_m, yaw_rad=math.pi / 4)), 1) == expected
 
 
 def test_streets_and_regions_are_squares() -> None:

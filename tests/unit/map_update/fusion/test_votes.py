@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
 from camber.map_update.fusion.votes import (
+    KEY,
     NO_RANK,
     SAMPLES,
     Votes,
@@ -83,18 +84,9 @@ def test_batches_in_any_order_cut_anywhere_and_repeated_make_the_same_votes(seed
 def test_one_vote_for_each_surface_voter_and_day() -> None:
     rows, voter = many(1)
     result = votes(rows, voter)
-    keys = result[["surface_id", "voter", "session"]]
-    expected = {
-        (s, v, d)
-        for s, v, d in zip(
-            rows["surface_id"].tolist(),
-            voter.tolist(),
-            session_of(rows["time_ns"], rows["longitude_rad"]).tolist(),
-            strict=True,
-        )
-    }
-    assert {tuple(key) for key in keys.tolist()} == expected
-    assert len(result) == len(expected)
+    session = session_of(rows["time_ns"], rows["longitude_rad"])
+    expected = np.unique(np.column_stack((rows["surface_id"], voter, session)), axis=0)
+    assert np.array_equal(np.column_stack([result[name] for name in KEY]), expected)
 
 
 def test_two_wrong_fixes_of_five_do_not_move_the_vote() -> None:

@@ -36,16 +36,6 @@ def store(path):
         yield store
 
 
-def test_a_locked_file_acknowledges_nothing_and_works_afterwards(path, store):
-    with closing(sqlite3.connect(path, isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(StoreError, match=r"uploads\.sqlite.*locked"):
-            committed(store, contribution("u1"))
-        other.execute("ROLLBACK")
-    assert store.counts() == (0, 0)
-    assert committed(store, contribution("u1")) == ["stored"]
-
-
 def test_a_full_disk_acknowledges_nothing_of_the_group_and_keeps_what_was_stored(path, store):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     stored = 0
