@@ -100,7 +100,7 @@ class SqliteStore(Store):
     def _errors_named(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeError) as error:  # the last: damaged names in an error's text
             raise StoreError(f"{self.name}: {error}") from error
 
     @contextmanager
