@@ -15,9 +15,10 @@ from camber.map_server.point_groups import sort_by_tile, tile_numbers
 from camber.map_server.road_selection import (
     PointColumns,
     SelectedRoads,
+    Topologies,
     Topology,
+    copy_roads,
     empty_roads,
-    restore_order,
     select_roads,
     select_surface,
     topologies,
@@ -36,6 +37,7 @@ _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
 
 _BLOCK = 1 << 17  # chosen: points sorted by tile at a time, within the processor's cache
+_NO_TOPOLOGIES = topologies([])
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -215,57 +217,40 @@ class ElevationMap:
     def _roads(self, points: PointColumns) -> SelectedRoads:
         """Select by candidate links alone, and by topology where these do not decide."""
         number = tile_numbers(points.latitude_rad, points.longitude_rad)
-        roads, sorted_roads = empty_roads(len(number)), empty_roads(min(_BLOCK, len(number)))
-        targets, nothing = np.arange(len(sorted_roads.reason)), topologies([])
+        roads, every = empty_roads(len(number)), np.arange(len(number))
         for begin in range(0, len(number), _BLOCK):
-            tiles, rows, start, sorted_place = sort_by_tile(number[begin : begin + _BLOCK])
-            rows += begin
-            for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
-                index = self._index(tile)
-                if index is None:
-                    sorted_roads.reason[first:end] = codes.NO_SURFACE
-                    sorted_roads.elsewhere[first:end] = False
-                else:
-                    select_roads(
-                        index.table,
-                        points,
-                        rows[first:end],
-                        topology=targets[:0],
-                        known=nothing,
-                        roads=sorted_roads,
-                        targets=targets[first:end],
-                    )
-            restore_order(sorted_place, sorted_roads, roads, begin)
+            self._select(
+                every[begin : begin + _BLOCK], number, points, every[:0], _NO_TOPOLOGIES, roads=roads
+            )
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
-            self._by_topology(undecided, number, points, roads)
+            keys = np.column_stack((number[undecided], points.last[undecided], points.links[undecided]))
+            different, topology = np.unique(keys, axis=0, return_inverse=True)
+            known = topologies([self._topology_of(*key) for key in different.tolist()])
+            self._select(undecided, number, points, topology.ravel(), known, roads=roads)
         return roads.of_known()
 
-    def _by_topology(
-        self, rows: Integers, number: Integers, points: PointColumns, roads: SelectedRoads
+    def _select(
+        self,
+        rows: Integers,
+        number: Integers,
+        points: PointColumns,
+        topology: Integers,
+        known: Topologies,
+        roads: SelectedRoads,
     ) -> None:
-        """Select undecided points by topology, determined once for each tile, last surface and set of links."""
-        keys = np.column_stack((number[rows], points.last[rows], points.links[rows]))
-        different, group = np.unique(keys, axis=0, return_inverse=True)
-        known = []
-        for tile, surface, *links in different.tolist():
-            candidates = frozenset(link for link in links if link >= 0)
-            known.append(self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface))
-        tables, group = topologies(known), group.ravel()
-        by_tile = np.argsort(keys[:, 0], kind="stable")
-        tiles, start = np.unique(keys[by_tile, 0], return_index=True)
-        for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
-            index, of_tile = self._index(tile), rows[members]
-            assert index is not None, "a tile without surfaces is decided"
-            select_roads(
-                index.table,
-                points,
-                of_tile,
-                topology=group[members],
-                known=tables,
-                roads=roads,
-                targets=of_tile,
-            )
+        """Fill `rows` (k,) of `roads`, tile by tile; `topology` as for `select_roads`."""
+        tiles, order, start = sort_by_tile(number[rows])
+        rows, topology = rows[order], topology[order] if len(topology) else topology
+        by_tile = empty_roads(len(rows))
+        for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
+            if (index := self._index(tile)) is not None:
+                select_roads(index.table, points, rows[first:end], topology[first:end], known, by_tile, first)
+        copy_roads(by_tile, roads, rows)
+
+    def _topology_of(self, tile: int, surface: int, *links: int) -> Topology:
+        candidates = frozenset(link for link in links if link >= 0)
+        return self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface)
 
     def _index(self, tile: int) -> TileIndex | None:
         return self._surfaces(divmod(tile, TILES)) if tile >= 0 else None

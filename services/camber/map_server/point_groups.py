@@ -54,10 +54,8 @@ def _tile_y(latitude_rad: float) -> float:
 
 
 @compiled
-def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers, Integers]:
-    """Sort points by tile: the tiles (t,), the points `points[start[k] : start[k + 1]]` of tile k, and the position of
-    each point in `points` (n,).
-    """
+def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers]:
+    """Sort points by tile: the tiles (t,), and the points `points[start[k] : start[k + 1]]` of tile k."""
     n, size = len(number), 16
     while size < 2 * n:
         size *= 2
@@ -75,9 +73,8 @@ def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers, Intege
         start[group[i] + 1] += 1
     for k in range(count):
         start[k + 1] += start[k]
-    points, sorted_place, free = np.empty(n, np.int64), np.empty(n, np.int64), start[:count].copy()
+    points, free = np.empty(n, np.int64), start[:count].copy()
     for i in range(n):
-        sorted_place[i] = free[group[i]]
-        points[sorted_place[i]] = i
+        points[free[group[i]]] = i
         free[group[i]] += 1
-    return tiles[:count].copy(), points, start[: count + 1].copy(), sorted_place
+    return tiles[:count].copy(), points, start[: count + 1].copy()

@@ -145,9 +145,9 @@ def select_roads(
     topology: Integers,
     known: Topologies,
     roads: SelectedRoads,
-    targets: Integers,
+    begin: int,
 ) -> None:
-    """Fill rows `targets` (k,) of `roads` for the points `rows` (k,), all of them in the table's tile.
+    """Fill `roads` from row `begin` on with the roads under the points `rows` (k,), all of them in the table's tile.
 
     `topology` (k,): row in `known` of each; empty: by candidate links alone.
     """
@@ -160,8 +160,7 @@ def select_roads(
     row, inside = np.empty(most, np.int64), np.empty(most, np.bool_)
     along, across = np.empty(most), np.empty(most)
     for place in range(len(rows)):
-        i, to = rows[place], targets[place]
-        roads.elsewhere[to], roads.reason[to] = False, NO_SURFACE
+        i, to = rows[place], begin + place
         east_m, north_m = east_north_near(series, origin, latitude_rad[i], longitude_rad[i])
         if east_m == math.inf:
             continue
@@ -262,12 +261,12 @@ def select_roads(
 
 
 @compiled
-def restore_order(sorted_place: Integers, source: SelectedRoads, target: SelectedRoads, begin: int) -> None:
-    """Fill `target` from row `begin` on with the rows `sorted_place` (k,) of `source`."""
-    for place in range(len(sorted_place)):
-        i, j = begin + place, sorted_place[place]
-        target.reason[i], target.elsewhere[i] = source.reason[j], source.elsewhere[j]
-        target.surface_id[i], target.level[i] = source.surface_id[j], source.level[j]
-        target.elevation_m[i], target.sigma_m[i] = source.elevation_m[j], source.sigma_m[j]
-        target.slope_east[i], target.slope_north[i] = source.slope_east[j], source.slope_north[j]
-        target.extent_m[i] = source.extent_m[j]
+def copy_roads(source: SelectedRoads, target: SelectedRoads, rows: Integers) -> None:
+    """Fill `rows` (k,) of `target` with the rows of `source`."""
+    for place in range(len(rows)):
+        i = rows[place]
+        target.reason[i], target.elsewhere[i] = source.reason[place], source.elsewhere[place]
+        target.surface_id[i], target.level[i] = source.surface_id[place], source.level[place]
+        target.elevation_m[i], target.sigma_m[i] = source.elevation_m[place], source.sigma_m[place]
+        target.slope_east[i], target.slope_north[i] = source.slope_east[place], source.slope_north[place]
+        target.extent_m[i] = source.extent_m[place]

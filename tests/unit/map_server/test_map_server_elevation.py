@@ -420,7 +420,7 @@ def test_many_points_are_each_as_if_alone(seed: int) -> None:
         )
         each = the_map.roads_each(latitude, longitude, *columns)
         together = the_map.roads(latitude, longitude, link_ids, last_surface_id)
-        assert [column.tolist() for column in together] == [column.tolist() for column in each]
+        assert all(np.array_equal(a, b) for a, b in zip(together, each, strict=True))
 
 
 def test_points_of_a_wrong_shape_are_refused_and_none_have_no_roads() -> None:
