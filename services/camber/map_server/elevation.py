@@ -219,15 +219,14 @@ class ElevationMap:
         number = tile_numbers(points.latitude_rad, points.longitude_rad)
         roads, every = empty_roads(len(number)), np.arange(len(number))
         for begin in range(0, len(number), _BLOCK):
-            self._select(
-                every[begin : begin + _BLOCK], number, points, every[:0], _NO_TOPOLOGIES, roads=roads
-            )
+            block = every[begin : begin + _BLOCK]
+            self._select(block, number, points, every[:0], known=_NO_TOPOLOGIES, roads=roads)
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
             keys = np.column_stack((number[undecided], points.last[undecided], points.links[undecided]))
             different, topology = np.unique(keys, axis=0, return_inverse=True)
             known = topologies([self._topology_of(*key) for key in different.tolist()])
-            self._select(undecided, number, points, topology.ravel(), known, roads=roads)
+            self._select(undecided, number, points, topology.ravel(), known=known, roads=roads)
         return roads.of_known()
 
     def _select(
@@ -245,7 +244,10 @@ class ElevationMap:
         by_tile = empty_roads(len(rows))
         for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
             if (index := self._index(tile)) is not None:
-                select_roads(index.table, points, rows[first:end], topology[first:end], known, by_tile, first)
+                of_tile = topology[first:end]
+                select_roads(
+                    index.table, points, rows[first:end], of_tile, known=known, roads=by_tile, begin=first
+                )
         copy_roads(by_tile, roads, rows)
 
     def _topology_of(self, tile: int, surface: int, *links: int) -> Topology:

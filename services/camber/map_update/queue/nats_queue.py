@@ -73,7 +73,7 @@ class _Queue:
         self._host = f"nats://{parts.hostname}:{parts.port or 4222}"
         self._user, self._password, self._limit_s = parts.username, password, limit_s
         self._client: ReconnectingClient[_NatsConnection] = ReconnectingClient(
-            self._host, self._connect, _disconnect, (nats.errors.Error,), QueueError
+            self._host, self._connect, _disconnect, broken=(nats.errors.Error,), error=QueueError
         )
 
     def check(self) -> None:

@@ -62,7 +62,7 @@ class PostgresStore(Store):
         self._address, self._password, self._limit_s = address, password, limit_s
         broken = (asyncpg.PostgresError, asyncpg.InterfaceError)
         self._client: ReconnectingClient[asyncpg.Connection] = ReconnectingClient(
-            self.name, self._connected, _terminate, broken, StoreError
+            self.name, self._connected, _terminate, broken=broken, error=StoreError
         )
         try:
             self.check()
