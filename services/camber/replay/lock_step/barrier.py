@@ -96,7 +96,7 @@ class Barrier:
 
     def participates(self) -> bool:
         """Is this service on the list of the oldest tick?"""
-        return bool(self.ticks) and self.service in self.ticks[0].participants
+        return self.service in self.ticks[0].participants
 
     def skip(self) -> None:
         """Drop the oldest tick, of which this service is no participant, and take its counts as the base."""

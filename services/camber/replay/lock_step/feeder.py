@@ -54,9 +54,7 @@ class _Peer:
 class Feeder:
     """Feeds a drive to the services of one vehicle; use as a context."""
 
-    def __init__(
-        self, settings: ServiceSettings, channels: Iterable[str], *, observer: Observer | None = None
-    ) -> None:
+    def __init__(self, settings: ServiceSettings, channels: Iterable[str], *, observer: Observer) -> None:
         """`channels` are those of the vehicle's that this drive has."""
         self._settings = settings
         self._observer = observer
@@ -74,9 +72,7 @@ class Feeder:
             self._bus.listen(f"{prefix}/{service}/*", self._message_arrived)
         self._bus.listen(f"{prefix}/replay/done/*", self._done_arrived)
         self._bus.watch_liveliness(self._liveliness_changed)
-        self._bus.declare_alive(
-            FEEDER
-        )  # services of a replay end when this token goes: they never outlive it
+        self._bus.declare_alive(FEEDER)  # services of a replay end with this token: they never outlive it
 
     def __enter__(self) -> Feeder:
         return self
@@ -112,8 +108,7 @@ class Feeder:
         """Publish one of the vehicle's messages, with the next tick."""
         data = self._bus.publish(name, message)
         self._schedule.add(name)
-        if self._observer is not None:
-            self._observer(BY_NAME[name].key_for(self._settings.vehicle), data, time.time_ns())
+        self._observer(BY_NAME[name].key_for(self._settings.vehicle), data, time.time_ns())
 
     def tick(self, time_ns: int, *, last: bool = False) -> None:
         """Everything up to `time_ns` has been published; waits while `AHEAD` ticks are not done."""
@@ -121,11 +116,8 @@ class Feeder:
         working = self._schedule.next_tick(time_ns, last=last) & self._participants
         published = {name: n for name, n in self._bus.published.items() if not name.startswith("tick.")}
         with self._changed:
-            present = {
-                name: self._peers[name].last_work_index
-                for name in sorted(self._participants)
-                if name in self._peers
-            }
+            there = sorted(name for name in self._participants if name in self._peers)
+            present = {name: self._peers[name].last_work_index for name in there}
             for name in working & present.keys():
                 self._peers[name].last_work_index = self._index
         tick = Tick(
@@ -158,9 +150,7 @@ class Feeder:
                     self._changed.wait(0.5)
             if time.monotonic() > resend_at:
                 resend_at = time.monotonic() + RESEND_S
-                for (
-                    tick
-                ) in self._outstanding:  # to everybody: a service that has done it sends its done again
+                for tick in self._outstanding:  # to all: a service that has done it sends its done again
                     for name in list(self._peers):
                         self._send(name, tick)
             if time.monotonic() > deadline:
@@ -187,13 +177,12 @@ class Feeder:
             for name, peer in self._peers.items():
                 if name in self._participants or peer.index != -1:
                     continue
-                consumers = {other for other in self._participants if name in _PRODUCERS[other]}
-                seen_by = {
-                    other
-                    for other in consumers
-                    if other in self._peers and name in self._peers[other].producers_seen
-                }
-                if seen_by == consumers and peer.producers_seen >= self._participants & _PRODUCERS[name]:
+                seen = all(
+                    other in self._peers and name in self._peers[other].producers_seen
+                    for other in self._participants
+                    if name in _PRODUCERS[other]
+                )
+                if seen and peer.producers_seen >= self._participants & _PRODUCERS[name]:
                     self._participants |= {name}
                     self._schedule.wake_all()
                     peer.last_work_index = -1
@@ -228,9 +217,7 @@ class Feeder:
 
     def _message_arrived(self, key: str, item: Arrived) -> None:
         """Pass a service's message to the observer; a done may be attached to it."""
-        arrival_ns = time.time_ns()
-        if self._observer is not None:
-            self._observer(key, item.data, arrival_ns)
+        self._observer(key, item.data, time.time_ns())
         if item.attachment is not None:
             with suppress(DecodeError):
                 self._add_done(decode(Done, item.attachment).message)
