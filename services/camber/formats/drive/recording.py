@@ -18,7 +18,6 @@ import contextlib
 import json
 import struct
 import threading
-from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -283,19 +282,22 @@ def read_recording(
     A damaged file yields the messages before the damage, then one RecordingError; messages that cannot be decoded are
     one RecordingError per schema, at the end. Raises OSError if the file cannot be opened.
     """
-    reader = _RecordingReader(path, None if channels is None else frozenset(channels))
+    contents = _Contents(frozenset(BY_NAME if channels is None else channels))
     with path.open("rb") as stream:
         # A damaged length then asks for no more memory than the file has bytes.
         limit = max(path.stat().st_size, 1)
-        records = StreamReader(stream, validate_crcs=True, record_size_limit=limit).records
         try:
-            for record in records:
-                recorded = reader.take(record)
+            for record in StreamReader(stream, validate_crcs=True, record_size_limit=limit).records:
+                recorded = contents.take(record)
                 if recorded is not None:
                     yield recorded
         except _DAMAGE as error:
-            yield reader.damage(error, stream.tell())
-    yield from reader.undecoded()
+            kind = str(error).splitlines()[0] if str(error) else type(error).__name__
+            expected = f"a whole MCAP recording; {contents.read} messages before the damage were read"
+            yield RecordingError(path.name, "data", expected, actual=kind, byte_offset=stream.tell())
+    for schema, (count, first) in sorted(contents.failed.items()):
+        expected = f"messages of this version, but {count} are not: {first[:200]}"
+        yield RecordingError(path.name, "schema", expected, actual=schema)
 
 
 def load_recording(
@@ -312,41 +314,39 @@ def load_recording(
     return lists, errors
 
 
-class _RecordingReader:
+class _Contents:
     """Schemas and channels of a file so far, and counts of messages that could not be decoded."""
 
-    def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
-        self._name = path.name
+    def __init__(self, wanted: frozenset[str]) -> None:
+        self.read = 0
+        self.failed: dict[str, tuple[int, str]] = {}
+        """By schema: number of messages, and why the first was not decoded."""
         self._wanted = wanted
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, str]] = {}
-        self._read = 0
-        self._failed: Counter[str] = Counter()
-        self._first_failure: dict[str, str] = {}
 
     def take(self, record: object) -> Recorded[Any] | None:
-        if isinstance(record, McapMessage):
-            self._read += 1
-            return self._decode(record)
         if isinstance(record, McapSchema):
             self._schemas[record.id] = record.name
         elif isinstance(record, McapChannel):
             name = record.metadata.get("channel", "")
             self._channels[record.id] = (name, record.topic, self._schemas.get(record.schema_id, ""))
+        elif isinstance(record, McapMessage):
+            self.read += 1
+            return self._decode(record)
         return None
 
     def _decode(self, record: McapMessage) -> Recorded[Any] | None:
         name, key, schema = self._channels[record.channel_id]
-        if name not in BY_NAME or (self._wanted is not None and name not in self._wanted):
+        if name not in self._wanted or name not in BY_NAME:
             return None
-        cls = _SCHEMAS.get(schema)
         try:
-            if cls is None:
+            if schema not in _SCHEMAS:
                 raise DecodeError("a schema that this version does not know")
-            received = decode(cls, record.data)
+            received = decode(_SCHEMAS[schema], record.data)
         except DecodeError as error:
-            self._failed[schema] += 1
-            self._first_failure.setdefault(schema, str(error))
+            count, first = self.failed.get(schema, (0, str(error)))
+            self.failed[schema] = count + 1, first
             return None
         return Recorded(
             channel=name,
@@ -356,13 +356,3 @@ class _RecordingReader:
             sequence=received.sequence,
             arrival_ns=record.publish_time,
         )
-
-    def damage(self, error: BaseException, offset: int) -> RecordingError:
-        kind = str(error).splitlines()[0] if str(error) else type(error).__name__
-        expected = f"a whole MCAP recording; {self._read} messages before the damage were read"
-        return RecordingError(self._name, "data", expected, actual=kind, byte_offset=offset)
-
-    def undecoded(self) -> Iterator[RecordingError]:
-        for schema, count in sorted(self._failed.items()):
-            expected = f"messages of this version, but {count} are not: {self._first_failure[schema][:200]}"
-            yield RecordingError(self._name, "schema", expected, actual=schema)
