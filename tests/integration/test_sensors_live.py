@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.drive.motion_csv import read_motion
+from camber.formats.drive.motion_csv import read_samples
 from camber.formats.lidar_can.candump import CandumpDecoder
 from camber.formats.lidar_can.pcap import PcapDecoder
 from camber.formats.map_exchange.pcd import read_sweep
@@ -81,7 +81,7 @@ def test_recordings_give_the_sweeps_and_motion_of_the_drive(drive: Path, tmp_pat
         r"(pcap:|candump:|\")(lidar\.pcap|can\.log|can\.dbc)", lambda m: f"{m[1]}{drive}/{m[2]}", settings
     )
     true = [read_sweep(path, "lidar") for path in sorted((drive / "sweeps").glob("*.pcd"))]
-    moved = read_motion(drive / "motion.csv")
+    moved = read_samples(drive / "motion.csv", Motion)
     sweeps: list[Sweep] = []
     motion: list[Motion] = []
     with router() as endpoint:

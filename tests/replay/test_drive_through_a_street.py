@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.drive.motion_csv import write_motion
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.localizer.warm_up import synthetic_street, synthetic_tile
 from camber.road_map.release import write_release
+from camber.schemas.motion import Motion
 from support.running import payloads, recorded, replayed
 from support.small_map import DAY_NS, link, links, surface, surfaces
 from support.street_drive import FRAME, START_NS, StreetDrive, geodetic
@@ -47,7 +48,7 @@ def write_drive(folder: Path) -> Path:
         write_sweep(folder / "sweeps", drive.sweep())
         fixes.append(format_pos_line(fix(drive, WRONG_M)))
     (folder / "receiver.pos").write_bytes(b"".join(fixes))
-    write_motion(folder / "motion.csv", motion)
+    write_samples(folder / "motion.csv", Motion, motion)
     road_m, walls_m = synthetic_street()
     write_release(
         folder / "map",

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from camber.formats.drive.motion_csv import read_motion, read_ranging, read_suspension
+from camber.formats.drive.motion_csv import read_samples
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.errors import FormatError
 from camber.geodesy.gps_time import gpst_from_gps_ns
@@ -128,11 +128,11 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
     if truth is not None and len(truth) == 0:
         raise ManifestError(f"{manifest.name}: truth.file has no epochs, expected at least one")
     sensors: dict[str, Any] = {
-        name: [] if source is None else read(source.file)
-        for name, source, read in (
-            ("motion", manifest.motion, read_motion),
-            ("suspension", manifest.suspension, read_suspension),
-            ("ranging", manifest.ranging, read_ranging),
+        name: [] if source is None else read_samples(source.file, kind)
+        for name, source, kind in (
+            ("motion", manifest.motion, Motion),
+            ("suspension", manifest.suspension, Suspension),
+            ("ranging", manifest.ranging, Ranging),
         )
     }
     if truth is not None and MOTION_SURROGATES & set(manifest.surrogates.inputs):

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from camber.formats.drive.motion_csv import write_motion
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.drive.truth_csv import FIX_STATES, TruthTable, write_truth
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
@@ -26,6 +26,7 @@ from camber.replay.drive_inputs import write_map
 from camber.replay.surrogates import correlated_noise, make_initial_pose, make_motion
 from camber.schemas.base import Float64
 from camber.schemas.drive import Surrogates
+from camber.schemas.motion import Motion
 from camber.simulator.random_streams import stream
 
 State = Literal["right", "wrong", "float", "none"]
@@ -104,7 +105,7 @@ def write_short_drive(folder: Path, seed: int = 1, *, start_ns: int = START_NS) 
         map_sigma_m=MAP_SIGMA_M,
     )
     (folder / "receiver.pos").write_bytes(_receiver_file(truth, seed))
-    write_motion(folder / "motion.csv", make_motion(truth, errors))
+    write_samples(folder / "motion.csv", Motion, make_motion(truth, errors))
     write_truth(folder / "truth.csv", truth)
     write_map(
         folder / "map",

@@ -9,20 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from camber.formats.broadcast.bit_fields import quantize
+from camber.formats.broadcast.bit_fields import BitField, quantize
 from camber.formats.observations import GPS_MINUS_BDT_NS, MAX_SATELLITE_NUMBER, Ephemeris, satellite_name
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
-
-
-class BitField(NamedTuple):
-    """An integer of `width` bits, scaled by `resolution` to the unit of `Ephemeris`; `cyclic` angles wrap at a turn."""
-
-    width: int
-    resolution: float = 1.0
-    signed: bool = False
-    cyclic: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

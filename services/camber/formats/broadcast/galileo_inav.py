@@ -7,8 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camber.formats.broadcast.bit_fields import bits_to_bytes, crc24q, pack_bits
-from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
+from camber.formats.broadcast.bit_fields import (
+    BitLayout,
+    bits_to_bytes,
+    crc24q,
+    decode_layout,
+    encode_layout,
+    pack_bits,
+)
 from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camber.formats.broadcast.bit_fields import pack_bits
-from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
+from camber.formats.broadcast.bit_fields import BitLayout, decode_layout, encode_layout, pack_bits
 from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.broadcast.klobuchar_coefficients import IONOSPHERE_FIELDS
 from camber.formats.observations import Ephemeris

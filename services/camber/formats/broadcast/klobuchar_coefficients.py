@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from camber.formats.broadcast.ephemeris_fields import BitField
+from camber.formats.broadcast.bit_fields import BitField
 
 # IS-GPS-200, table 20-X: scale factors of α0 to α3 and β0 to β3.
 _RESOLUTIONS = (2.0**-30, 2.0**-27, 2.0**-24, 2.0**-24, 2.0**11, 2.0**14, 2.0**16, 2.0**16)

@@ -22,62 +22,40 @@ from camber.schemas.motion import Motion, Ranging, Suspension
 
 M = TypeVar("M", bound=Message)
 
-MOTION_COLUMNS = ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad")
-ATTITUDE_COLUMNS = ("pitch_rad", "roll_rad")
-"""Optional, both of them."""
-SUSPENSION_COLUMNS = ("time_ns", "stroke_height_m", "stroke_sigma_m")
-RANGING_COLUMNS = ("time_ns", "distance_m", "beam_angle_rad", "distance_sigma_m")
+_COLUMNS: dict[type[Message], tuple[str, ...]] = {
+    Motion: ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad"),
+    Suspension: ("time_ns", "stroke_height_m", "stroke_sigma_m"),
+    Ranging: ("time_ns", "distance_m", "beam_angle_rad", "distance_sigma_m"),
+}
+_OPTIONAL: dict[type[Message], tuple[str, ...]] = {Motion: ("pitch_rad", "roll_rad")}
+"""After these, all or none."""
 
 
-def read_motion(path: Path) -> list[Motion]:
+def read_samples(path: Path, kind: type[M]) -> list[M]:
     """Read all samples. Raises FormatError for the first bad row, OSError if the file cannot be read."""
-    return _read(path, Motion, MOTION_COLUMNS, ATTITUDE_COLUMNS)
-
-
-def read_suspension(path: Path) -> list[Suspension]:
-    """Read stroke heights; as `read_motion`."""
-    return _read(path, Suspension, SUSPENSION_COLUMNS)
-
-
-def read_ranging(path: Path) -> list[Ranging]:
-    """Read distances to the road; as `read_motion`."""
-    return _read(path, Ranging, RANGING_COLUMNS)
-
-
-def write_motion(path: Path, samples: Iterable[Motion]) -> None:
-    """Write samples to 1e-9 of a unit, with pitch and roll if any sample has one; deterministic."""
-    rows = list(samples)
-    tilted = any(sample.pitch_rad is not None or sample.roll_rad is not None for sample in rows)
-    _write(path, rows, MOTION_COLUMNS + ATTITUDE_COLUMNS if tilted else MOTION_COLUMNS)
-
-
-def write_suspension(path: Path, samples: Iterable[Suspension]) -> None:
-    """Write stroke heights; as `write_motion`."""
-    _write(path, samples, SUSPENSION_COLUMNS)
-
-
-def write_ranging(path: Path, samples: Iterable[Ranging]) -> None:
-    """Write distances to the road; as `write_motion`."""
-    _write(path, samples, RANGING_COLUMNS)
-
-
-def _write(path: Path, samples: Iterable[Message], columns: tuple[str, ...]) -> None:
-    lines = [",".join(columns)]
-    for sample in samples:
-        values = (getattr(sample, name) for name in columns[1:])
-        texts = ("" if value is None else f"{value:.9f}" for value in values)
-        lines.append(",".join((str(sample.time_ns), *texts)))
-    path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
-
-
-def _read(path: Path, cls: type[M], columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> list[M]:
+    columns, optional = _COLUMNS[kind], _OPTIONAL.get(kind, ())
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.reader(file)
         header = tuple(name.strip() for name in next(rows, []))
         if header not in (columns, columns + optional):
             expected = ",".join(columns) + (f", or that and {','.join(optional)}" if optional else "")
             raise FormatError(path.name, "header", expected, actual=",".join(header), line_number=1)
-        return [_sample(cls, header, row, (path.name, line)) for line, row in enumerate(rows, start=2) if row]
+        return [
+            _sample(kind, header, row, (path.name, line)) for line, row in enumerate(rows, start=2) if row
+        ]
+
+
+def write_samples(path: Path, kind: type[M], samples: Iterable[M]) -> None:
+    """Write samples to 1e-9 of a unit, with the optional columns if any sample has one; deterministic."""
+    rows, columns, optional = list(samples), _COLUMNS[kind], _OPTIONAL.get(kind, ())
+    if any(getattr(sample, name) is not None for sample in rows for name in optional):
+        columns += optional
+    lines = [",".join(columns)]
+    for sample in rows:
+        values = (getattr(sample, name) for name in columns[1:])
+        texts = ("" if value is None else f"{value:.9f}" for value in values)
+        lines.append(",".join((str(sample.time_ns), *texts)))
+    path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
 
 
 def _sample(cls: type[M], header: tuple[str, ...], row: list[str], line: tuple[str, int]) -> M:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camber.formats.broadcast.bit_layouts import BitLayout, combine_parts, decode_layout
-from camber.formats.broadcast.ephemeris_fields import FIELDS, BitField, ephemeris_from_integers
+from camber.formats.broadcast.bit_fields import BitField, BitLayout, combine_parts, decode_layout
+from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.observations import MAX_SATELLITE_NUMBER, OBSERVABLES, Ephemeris, ObservationEpoch
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector

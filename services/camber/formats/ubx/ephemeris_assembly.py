@@ -17,7 +17,7 @@ from camber.formats.broadcast.beidou_d1_d2 import (
     decode_d1_subframe,
     decode_d2_page,
 )
-from camber.formats.broadcast.bit_layouts import combine_parts
+from camber.formats.broadcast.bit_fields import combine_parts
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.broadcast.galileo_inav import WORDS, decode_inav_page
 from camber.formats.broadcast.gps_lnav import BODIES, decode_lnav_subframe

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.drive.motion_csv import write_motion, write_ranging, write_suspension
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.drive.truth_csv import FIX_STATES, TruthTable, write_truth
 from camber.formats.lidar_can.candump import candump_text
 from camber.formats.map_exchange.pcd import write_sweep
@@ -41,6 +41,7 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.arrivals import write_arrivals
 from camber.schemas.lidar import Sweep
+from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.simulator.faults import ChangedRoad, WrongMap
 from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.output.drive_manifest import manifest_text
@@ -79,11 +80,11 @@ def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
         (folder / "rover.ubx").write_bytes(b"".join(_ubx(drive)))
         (folder / "base.rtcm").write_bytes(b"".join(_rtcm(drive)))
     yield "sensors"
-    write_motion(folder / "motion.csv", motion_messages(drive.readings))
-    write_ranging(folder / "ranging.csv", ranging_messages(drive.readings, SENSORS, drive.body))
+    write_samples(folder / "motion.csv", Motion, motion_messages(drive.readings))
+    write_samples(folder / "ranging.csv", Ranging, ranging_messages(drive.readings, SENSORS, drive.body))
     strokes = suspension_messages(drive.readings, SENSORS)
     if strokes:
-        write_suspension(folder / "suspension.csv", strokes)
+        write_samples(folder / "suspension.csv", Suspension, strokes)
     yield "truth"
     write_truth(folder / "truth.csv", truth_of(drive))
     yield "map"

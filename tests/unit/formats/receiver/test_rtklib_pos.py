@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES
+from camber.formats.receiver.printed_covariance import covariance_from_printed, signed_root
 from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
@@ -390,3 +391,40 @@ def test_rewritten_recording_is_the_same(nagoya: Path) -> None:
     for a, b in zip(again, original, strict=True):
         # Covariances are printed as rounded roots.
         assert replace(a, covariance_enu_m2=None) == replace(b, covariance_enu_m2=None)
+
+
+ROUNDING_M = 0.5e-4
+
+
+def test_signed_roots() -> None:
+    covariance = covariance_from_printed((2.0, 3.0, 4.0), (1.0, -2.0, 0.5), ROUNDING_M)
+    assert covariance == (4.0, 1.0, -4.0, 9.0, 0.25, 16.0)
+    assert (signed_root(4.0), signed_root(-4.0), signed_root(0.0)) == (2.0, -2.0, 0.0)
+
+
+def test_all_zero_deviations_are_unknown() -> None:
+    assert covariance_from_printed((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ROUNDING_M) is None
+
+
+def test_single_zero_deviation_is_replaced_by_the_rounding() -> None:
+    covariance = covariance_from_printed((0.0, 0.01, 0.01), (0.0, 0.0, 0.0), ROUNDING_M)
+    assert covariance is not None
+    assert covariance[0] == pytest.approx(ROUNDING_M**2)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "roots"),
+    [
+        ((1.0, -1.0, 1.0), (0.0, 0.0, 0.0)),
+        ((float("nan"), 1.0, 1.0), (0.0, 0.0, 0.0)),
+        ((1.0, 1.0, 1.0), (1.1, 0.0, 0.0)),
+        ((1.0, 1.0, 1.0), (0.9, 0.9, -0.9)),
+        ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)),
+        ((0.0, 1.0, 1.0), (0.1, 0.0, 0.0)),
+    ],
+)
+def test_impossible_covariance_is_refused(
+    deviations: tuple[float, float, float], roots: tuple[float, float, float]
+) -> None:
+    with pytest.raises(ValueError, match=r"deviations|semidefinite"):
+        covariance_from_printed(deviations, roots, ROUNDING_M)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
 from camber.formats.broadcast.beidou_d1_d2 import FIELDS_AND_IONOSPHERE, decode_d1_subframe, decode_d2_page
-from camber.formats.broadcast.bit_layouts import combine_parts
+from camber.formats.broadcast.bit_fields import combine_parts
 from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris
 from camber.formats.broadcast.galileo_inav import decode_inav_page
 from camber.formats.broadcast.gps_lnav import add_parity, decode_lnav_subframe

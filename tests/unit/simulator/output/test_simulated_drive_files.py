@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.formats.drive.motion_csv import read_motion, read_ranging, read_suspension
+from camber.formats.drive.motion_csv import read_samples
 from camber.formats.drive.recording import read_recording
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.map_exchange.pcd import read_sweep
@@ -22,6 +22,7 @@ from camber.map_server.elevation import ElevationMap
 from camber.replay.drive_inputs import prepare_drive
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest
+from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate as tool
 from support.gnss_files import read_pos
@@ -90,9 +91,9 @@ def test_every_file_can_be_read_by_its_reader(city: Path) -> None:
     manifest = load_manifest(city / "drive.toml")
     assert manifest.simulated
     assert len(solutions(city)) > 100
-    assert len(read_motion(city / "motion.csv")) == pytest.approx(120, abs=2)
-    assert len(read_suspension(city / "suspension.csv")) == pytest.approx(120, abs=2)
-    assert len(read_ranging(city / "ranging.csv")) == pytest.approx(119, abs=6)
+    assert len(read_samples(city / "motion.csv", Motion)) == pytest.approx(120, abs=2)
+    assert len(read_samples(city / "suspension.csv", Suspension)) == pytest.approx(120, abs=2)
+    assert len(read_samples(city / "ranging.csv", Ranging)) == pytest.approx(119, abs=6)
     sweeps = sorted((city / "sweeps").iterdir())
     assert len(sweeps) == 120
     sweep = read_sweep(sweeps[60], "lidar")
@@ -120,7 +121,7 @@ def test_the_truth_is_consistent(city: Path) -> None:
 
 def test_the_measured_tilt_is_near_the_truth_and_not_the_truth(city: Path) -> None:
     truth = read_truth(city / "truth.csv", "camber")
-    rows = [(m.time_ns, m.pitch_rad, m.roll_rad) for m in read_motion(city / "motion.csv")]
+    rows = [(m.time_ns, m.pitch_rad, m.roll_rad) for m in read_samples(city / "motion.csv", Motion)]
     rows = [row for row in rows if None not in row]
     assert len(rows) > 100
     at = np.array([time_ns for time_ns, *_ in rows]) - truth.time_ns[0]
