@@ -11,19 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server import road_selection as codes
-from camber.map_server.point_groups import sort_by_tile, tile_numbers
+from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
 from camber.map_server.road_selection import (
     PointColumns,
     SelectedRoads,
-    Topologies,
-    Topology,
-    copy_roads,
     empty_roads,
     select_roads,
-    select_surface,
     topologies,
 )
+from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
+from camber.map_server.topology import Topology, select_surface
 from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
@@ -37,7 +35,6 @@ _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
 
 _BLOCK = 1 << 17  # chosen: points sorted by tile at a time, within the processor's cache
-_NO_TOPOLOGIES = topologies([])
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -136,7 +133,9 @@ class ElevationMap:
             return road
         east_m, north_m = radius_m * _LATTICE[0], radius_m * _LATTICE[1]
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
-        points = frame.geodetic_from_east_north_array(np.column_stack((east_m, north_m)), 0.0)
+        points = frame.geodetic_from_east_north_array(
+            np.column_stack((east_m, north_m)), np.zeros(len(east_m))
+        )
         roads = self.roads(points[0], points[1], links, last_surface_id)
         undecided = not links and len(np.unique(roads.level)) > 1
         if undecided or (roads.ambiguous & ~roads.elsewhere).any():
@@ -175,7 +174,8 @@ class ElevationMap:
     ) -> RoadsAhead:
         """Return `roads` at places given relative to a point."""
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
-        points = frame.geodetic_from_east_north_array(np.column_stack((places.east_m, places.north_m)), 0.0)
+        plane_m = np.column_stack((places.east_m, places.north_m))
+        points = frame.geodetic_from_east_north_array(plane_m, np.zeros(len(plane_m)))
         roads = self.roads(points[0], points[1], link_ids, last_surface_id)
         return RoadsAhead(
             place=roads.known.astype(np.int32),
@@ -217,42 +217,47 @@ class ElevationMap:
     def _roads(self, points: PointColumns) -> SelectedRoads:
         """Select by candidate links alone, and by topology where these do not decide."""
         number = tile_numbers(points.latitude_rad, points.longitude_rad)
-        roads, every = empty_roads(len(number)), np.arange(len(number))
+        roads, sorted_roads = empty_roads(len(number)), empty_roads(min(_BLOCK, len(number)))
         for begin in range(0, len(number), _BLOCK):
-            block = every[begin : begin + _BLOCK]
-            self._select(block, number, points, every[:0], known=_NO_TOPOLOGIES, roads=roads)
+            tiles, rows, start, sorted_place = sort_by_tile(number[begin : begin + _BLOCK])
+            rows += begin
+            for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
+                index = self._index(tile)
+                if index is None:
+                    sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = (
+                        codes.NO_SURFACE,
+                        False,
+                    )
+                else:
+                    select_roads_by_links(
+                        index.table, points, rows[first:end], roads=sorted_roads, begin=first
+                    )
+            restore_order(sorted_place, sorted_roads, roads, begin)
         undecided = np.flatnonzero(roads.reason == codes.UNDECIDED)
         if len(undecided):
-            keys = np.column_stack((number[undecided], points.last[undecided], points.links[undecided]))
-            different, topology = np.unique(keys, axis=0, return_inverse=True)
-            known = topologies([self._topology_of(*key) for key in different.tolist()])
-            self._select(undecided, number, points, topology.ravel(), known=known, roads=roads)
+            self._by_topology(undecided, number, points, roads)
         return roads.of_known()
 
-    def _select(
-        self,
-        rows: Integers,
-        number: Integers,
-        points: PointColumns,
-        topology: Integers,
-        known: Topologies,
-        roads: SelectedRoads,
+    def _by_topology(
+        self, rows: Integers, number: Integers, points: PointColumns, roads: SelectedRoads
     ) -> None:
-        """Fill `rows` (k,) of `roads`, tile by tile; `topology` as for `select_roads`."""
-        tiles, order, start = sort_by_tile(number[rows])
-        rows, topology = rows[order], topology[order] if len(topology) else topology
-        by_tile = empty_roads(len(rows))
-        for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
-            if (index := self._index(tile)) is not None:
-                of_tile = topology[first:end]
-                select_roads(
-                    index.table, points, rows[first:end], of_tile, known=known, roads=by_tile, begin=first
-                )
-        copy_roads(by_tile, roads, rows)
-
-    def _topology_of(self, tile: int, surface: int, *links: int) -> Topology:
-        candidates = frozenset(link for link in links if link >= 0)
-        return self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface)
+        """Select undecided points by topology, determined once for each tile, last surface and set of links."""
+        keys = np.column_stack((number[rows], points.last[rows], points.links[rows]))
+        group, first = group_rows(keys)
+        known = []
+        for tile, surface, *links in keys[first].tolist():
+            candidates = frozenset(link for link in links if link >= 0)
+            known.append(self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface))
+        table_of_topologies = topologies(known)
+        by_tile = np.argsort(keys[:, 0], kind="stable")
+        tiles, start = np.unique(keys[by_tile, 0], return_index=True)
+        for tile, members in zip(tiles.tolist(), np.split(by_tile, start[1:]), strict=True):
+            index = self._index(tile)
+            assert index is not None, "a tile without surfaces is decided"
+            topology = group[members]
+            select_roads(
+                index.table, points, rows[members], topology=topology, known=table_of_topologies, roads=roads
+            )
 
     def _index(self, tile: int) -> TileIndex | None:
         return self._surfaces(divmod(tile, TILES)) if tile >= 0 else None
@@ -264,7 +269,9 @@ class ElevationMap:
             connected, levels = self._find_last(tile, last_surface_id)
         if candidates:
             near = self._links_near(tile)
-            levels = frozenset(links.level[i] for links in near for i in candidates if i in links.level)
+            levels = frozenset(
+                links.level[link] for links in near for link in candidates if link in links.level
+            )
         return Topology(candidates=candidates, connected=connected, levels=levels)
 
     def _find_last(self, tile: Tile, surface_id: int) -> tuple[frozenset[int], frozenset[int]]:

@@ -1,4 +1,4 @@
-"""Sort points by tile."""
+"""Group points by tile and by topology."""
 
 from __future__ import annotations
 
@@ -54,8 +54,10 @@ def _tile_y(latitude_rad: float) -> float:
 
 
 @compiled
-def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers]:
-    """Sort points by tile: the tiles (t,), and the points `points[start[k] : start[k + 1]]` of tile k."""
+def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers, Integers]:
+    """Sort points by tile: the tiles (t,), the points `points[start[k] : start[k + 1]]` of tile k, and the position of
+    each point in `points` (n,).
+    """
     n, size = len(number), 16
     while size < 2 * n:
         size *= 2
@@ -73,8 +75,59 @@ def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers]:
         start[group[i] + 1] += 1
     for k in range(count):
         start[k + 1] += start[k]
-    points, free = np.empty(n, np.int64), start[:count].copy()
+    points, sorted_place, free = np.empty(n, np.int64), np.empty(n, np.int64), start[:count].copy()
     for i in range(n):
-        points[free[group[i]]] = i
+        sorted_place[i] = free[group[i]]
+        points[sorted_place[i]] = i
         free[group[i]] += 1
-    return tiles[:count].copy(), points, start[: count + 1].copy()
+    return tiles[:count].copy(), points, start[: count + 1].copy(), sorted_place
+
+
+@compiled
+def group_rows(rows: Integers) -> tuple[Integers, Integers]:
+    """Return the group (n,) of equal rows (n, k) of each row, and the first row (groups,) of each group.
+
+    Groups are numbered in the order of their first rows.
+    """
+    n, k = rows.shape
+    # Small as long as there are few groups, so that it stays in the processor's cache.
+    in_slot, distinct = np.full(16, -1, np.int32), np.empty((8, k), np.int64)
+    group, first = np.empty(n, np.int64), np.empty(n, np.int64)
+    count = 0
+    for i in range(n):
+        if i > 0 and _equal(rows[i], rows[i - 1]):
+            group[i] = group[i - 1]
+            continue
+        slot = _slot(rows[i], in_slot, distinct)
+        if in_slot[slot] < 0:
+            if count == len(distinct):
+                distinct = np.concatenate((distinct, np.empty((count, k), np.int64)))
+                in_slot = np.full(4 * count, -1, np.int32)
+                for g in range(count):
+                    in_slot[_slot(distinct[g], in_slot, distinct)] = g
+                slot = _slot(rows[i], in_slot, distinct)
+            distinct[count], first[count], in_slot[slot] = rows[i], i, count
+            count += 1
+        group[i] = in_slot[slot]
+    return group, first[:count].copy()
+
+
+@compiled
+def _slot(row: Integers, in_slot: NDArray[np.int32], distinct: Integers) -> np.int64:
+    """Return the hash table's slot of a row, or the free slot for it."""
+    mixed = np.int64(0)
+    for j in range(len(row)):
+        mixed = (mixed ^ row[j]) * np.int64(_SPREAD)
+        mixed ^= mixed >> 29
+    slot = mixed & (len(in_slot) - 1)
+    while in_slot[slot] >= 0 and not _equal(row, distinct[in_slot[slot]]):
+        slot = (slot + 1) & (len(in_slot) - 1)
+    return slot
+
+
+@compiled
+def _equal(a: Integers, b: Integers) -> bool:
+    for k in range(len(a)):  # noqa: SIM110 (all() over a generator is not compiled)
+        if a[k] != b[k]:
+            return False
+    return True

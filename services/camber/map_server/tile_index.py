@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
+from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.tangent_planes import plane_origins, plane_series
 from camber.road_map.surface_heights import grid_plane
 from camber.road_map.tile_checks import surface_slopes
@@ -84,8 +85,9 @@ class TileIndex:
         reach_m = np.maximum(sigma_m, _LEAST_SIGMA_M) / np.maximum(spread, 1e-9)
         extent_m = np.minimum(reach_m, np.hypot(length_m, width_m))
         east_m, north_m, yaw_rad = tile.centre_east_m[order], tile.centre_north_m[order], tile.yaw_rad[order]
-        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-        shape = np.column_stack((east_m, north_m, cos, sin, length_m, width_m, sigma_m, extent_m))
+        shape = np.column_stack(
+            (east_m, north_m, np.cos(yaw_rad), np.sin(yaw_rad), length_m, width_m, sigma_m, extent_m)
+        )
         grid = np.column_stack((tile.first_height, tile.rows, tile.columns)).astype(np.int64)[order]
         self.frame = tile_frame(tile.x, tile.y)
         self.table = SurfaceTable(
@@ -95,7 +97,7 @@ class TileIndex:
             grid=grid,
             names=names,
             heights_m=tile.base_height_m + tile.grid_m.astype(np.float64),
-            **_cells(tile, shape),
+            **_cells(self.frame, tile_corners_rad(tile.x, tile.y), shape),
         )
         # The same as Python numbers: for a single point many times faster than numpy.
         self._row_of = {surface: row for row, surface in enumerate(names[:, 0].tolist())}
@@ -121,8 +123,10 @@ class TileIndex:
         hits = []
         for row in self._cell_rows[self._cell_start[cell] : self._cell_start[cell + 1]]:
             centre_east, centre_north, cos, sin, half_length, half_width, sigma, extent = self._shape[row]
-            offset_m, half_size = (east_m - centre_east, north_m - centre_north), (half_length, half_width)
-            u, v, near, inside = on_surface(offset_m, (cos, sin), half_size)
+            half_size = half_length, half_width
+            u, v, near, inside = on_surface(
+                (east_m - centre_east, north_m - centre_north), (cos, sin), half_size
+            )
             if not near:
                 continue
             height, slope_u, slope_v = grid_plane(table.heights_m, self._grid[row], half_size, (u, v))
@@ -161,12 +165,14 @@ def on_surface(
     return u, v, near, (beyond_u <= EDGE_M) & (beyond_v <= EDGE_M)
 
 
-def _cells(tile: SurfaceTile, shape: Floats) -> dict[str, Any]:
+def _cells(
+    frame: LocalFrame, corners_rad: tuple[float, float, float, float], shape: Floats
+) -> dict[str, Any]:
     """Assign surfaces to cells: the fields of SurfaceTable about cells."""
-    south, west, north, east = tile_corners_rad(tile.x, tile.y)
-    frame = tile_frame(tile.x, tile.y)
-    corners_rad = [south, south, north, north], [west, east, west, east]
-    corners_m = frame.east_north_from_geodetic_array(*corners_rad, 0.0)
+    south, west, north, east = corners_rad
+    corners_m = frame.east_north_from_geodetic_array(
+        [south, south, north, north], [west, east, west, east], np.zeros(4)
+    )
     west_m, south_m = (corners_m.min(axis=0) - MARGIN_M).tolist()
     columns, lines = np.ceil((np.ptp(corners_m, axis=0) + 2.0 * MARGIN_M) / CELL_M).astype(int).tolist()
     centre_east, centre_north, cos, sin, half_length, half_width, _, _ = shape.T

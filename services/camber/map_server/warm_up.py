@@ -14,10 +14,12 @@ _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
 
 
 def warm_up() -> Road:
-    """Return the road around a point on a synthetic surface."""
+    """Return the road around a point on a synthetic surface; compiles both paths of the selection."""
     surfaces = flat_road(_LATITUDE_RAD, [_LONGITUDE_RAD], seen_ns=1_400_000_000 * 10**9)
     tiles = {(tile.x, tile.y): tile for tile in surface_tiles(surfaces)}
     roads = ElevationMap(lambda x, y: tiles.get((x, y)), lambda x, y: None, datum="WGS84", map_version=1)
+    # With a last surface: candidate links alone do not decide, so the second path is compiled.
+    roads.roads([_LATITUDE_RAD], [_LONGITUDE_RAD], (), 1)
     return roads.road_around(_LATITUDE_RAD, _LONGITUDE_RAD, 1.0)
 
 

@@ -32,7 +32,8 @@ def test_tile_numbers_equal_those_of_single_points(about_rad: float, reach_rad: 
 @pytest.mark.parametrize("count", [0, 1, 7, 5000])
 def test_points_are_sorted_by_tile_in_their_order(count: int) -> None:
     number = np.random.default_rng(SEED).integers(-1, 40, count) * 12345
-    tiles, points, start = sort_by_tile(number)
+    tiles, points, start, sorted_place = sort_by_tile(number)
     assert sorted(tiles.tolist()) == sorted(set(number.tolist()))
     for tile, first, end in zip(tiles.tolist(), start[:-1], start[1:], strict=True):
         assert points[first:end].tolist() == np.flatnonzero(number == tile).tolist()
+    assert points[sorted_place].tolist() == list(range(count))
