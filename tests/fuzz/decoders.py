@@ -132,7 +132,19 @@ def _solutions(random: Random) -> list[ReceiverSolution]:
 
 def _nmea(random: Random) -> list[list[bytes]]:
     kinds = (format_rmc, partial(format_gga, geoid_separation_m=37.5), format_gst)
-    return [[kind(one)[1:-5] for one in _solutions(random) for kind in kinds] for _ in range(8)]
+    return [
+        [
+            part
+            for one in _solutions(random)
+            for part in (*(kind(one)[1:-5] for kind in kinds), *_date_and_raim(one))
+        ]
+        for _ in range(8)
+    ]
+
+
+def _date_and_raim(solution: ReceiverSolution) -> list[bytes]:
+    at = format_rmc(solution).split(b",")[1]
+    return [b"GPZDA,%b,12,07,2023,00,00" % at, b"GNGBS,%b,1.6,1.4,3.2,03,,-21.4,3.8,1,0" % at]
 
 
 def _nmea_sentence(content: bytes) -> bytes:
