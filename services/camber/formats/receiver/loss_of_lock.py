@@ -6,6 +6,9 @@ lock was between `max_lock_s` and `min_lock_s` before the epoch.
 
 from __future__ import annotations
 
+from collections import defaultdict
+from itertools import count
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +20,7 @@ class LossOfLockDetector:
     """Keeps, for one receiver, the time and the lock time of each signal's last phase."""
 
     def __init__(self) -> None:
-        self._slots: dict[int, int] = {}
+        self._slots: defaultdict[int, int] = defaultdict(count().__next__)  # numbered as they come
         self._keys, self._slots_of_keys = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._last_ns = np.zeros(0, np.int64)
         self._min_lock_s = np.zeros(0)
@@ -56,10 +59,9 @@ class LossOfLockDetector:
         """Return the slot of each signal; usually the signals are those of the last epoch."""
         if np.array_equal(keys, self._keys):
             return self._slots_of_keys
-        slots = self._slots
         self._keys = keys
-        self._slots_of_keys = np.array([slots.setdefault(key, len(slots)) for key in keys.tolist()], np.int64)
-        more = len(slots) - self._last_ns.size
+        self._slots_of_keys = np.array([*map(self._slots.__getitem__, keys.tolist())], np.int64)
+        more = len(self._slots) - self._last_ns.size
         if more:
             self._last_ns = np.append(self._last_ns, np.full(more, -1))
             self._min_lock_s = np.append(self._min_lock_s, np.zeros(more))

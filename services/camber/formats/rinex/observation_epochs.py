@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import OBSERVABLES, Floats, Integers, ObservationEpoch, signal_number
+from camber.formats.observations import Floats, Integers, ObservationEpoch, signal_number
 from camber.formats.rinex.observation_fields import (
     BAD,
     BLANK,
@@ -139,7 +139,8 @@ class _Output(NamedTuple):
 class EpochBatch:
     """The content of a chunk of a file.
 
-    Columns of all epochs: `floats` (4, rows) pseudorange, phase, Doppler, C/N0; `integers` (2, rows) satellite, signal;
+    Columns of all epochs: `floats` (4, rows) pseudorange, phase, Doppler, C/N0; `lock_time_s` (rows,) NaN, as RINEX has
+    none; `integers` (2, rows) satellite, signal;
     `flags` (2, rows) loss of lock, half cycle. `epochs` (n, 3): GPS time [ns], end of its rows, number of problems up
     to its end. `problems` (m, 4): line, first byte, one of the codes above, and the column or −1. `skipped` (256,):
     satellites skipped by system letter. `consumed` bytes and `lines` are finished; `event` (3,): begin and end of an
@@ -148,6 +149,7 @@ class EpochBatch:
     """
 
     floats: Floats
+    lock_time_s: Floats
     integers: Integers
     flags: Flags
     epochs: Integers
@@ -164,12 +166,16 @@ class EpochBatch:
         """Return the observations of one epoch."""
         satellite, signal = self.integers[:, rows]
         loss_of_lock, half_cycle = self.flags[:, rows]
+        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz = self.floats[:, rows]
         return ObservationEpoch(
             time_ns=time_ns,
             satellite=satellite,
             signal=signal,
-            **dict(zip(OBSERVABLES, self.floats[:, rows], strict=True)),
-            lock_time_s=np.full(satellite.size, np.nan),
+            pseudorange_m=pseudorange_m,
+            carrier_phase_cycles=carrier_phase_cycles,
+            doppler_hz=doppler_hz,
+            cn0_dbhz=cn0_dbhz,
+            lock_time_s=self.lock_time_s[rows],
             loss_of_lock=loss_of_lock,
             half_cycle=half_cycle,
         )
@@ -195,6 +201,7 @@ def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, stray_repor
     return EpochBatch(
         # Copies: what is kept of an epoch must not keep the unused room alive.
         floats=output.floats[:, :n_rows].copy(),
+        lock_time_s=np.full(n_rows, np.nan),
         integers=output.integers[:, :n_rows].copy(),
         flags=output.flags[:, :n_rows].copy(),
         epochs=output.epochs[:n_epochs],

@@ -30,6 +30,7 @@ OLDEST_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": 4 * _HOUR_NS, "C": 6 * _
 """Greatest |t − toe|: GPS and QZSS half of the nominal fit interval (IS-GPS-200N, 20.3.4.4), Galileo 4 h (Galileo OS
 SDD 1.3, C.4.4.1), BeiDou 6 h, longer than its nominal hour, as receivers do while a satellite is out of view."""
 _FARTHEST_TRANSMISSION_NS = 12 * _HOUR_NS  # chosen: twice the longest age
+_NEVER_NS = 2**63 - 1  # end of int64
 _INAV, _FNAV = 0, 1
 _SATELLITES = 128 << 8  # numbers: letter × 256 + PRN
 _HEALTHY, _SYSTEM_IS_GALILEO, _KIND, _LIMIT_NS = range(4)
@@ -91,9 +92,10 @@ class EphemerisStore:
         self._most = most_of_satellite
         self.refused: Counter[Refusal] = Counter()
         """Ephemerides that were refused, and those that came unhealthy, by reason."""
+        self.duplicates = 0
         self._sets: dict[tuple[int, int], list[_EphemerisRow]] = {}
         self._changed = False
-        self._chosen_ns: int | None = None
+        self._from_ns, self._until_ns = 0, -1
         self._choice = np.full(_SATELLITES, -1, np.int64)
         self._table = _table([])
         self._flags = np.empty((0, 4), np.int64)
@@ -114,8 +116,10 @@ class EphemerisStore:
                 continue
             # Two sources round the numbers differently: the issue of data identifies a set.
             if (other.iode, other.health) == (ephemeris.iode, ephemeris.health):
+                self.duplicates += 1
                 return state
             if 0 < ephemeris.transmission_ns < other.transmission_ns:
+                self.duplicates += 1
                 return None if is_healthy(other) else "unhealthy"
             sets[place] = _row(ephemeris)
             break
@@ -137,9 +141,8 @@ class EphemerisStore:
     def rows_at(self, time_ns: int, satellites: Integers) -> Integers:
         """Rows of `table` (m,) to be used for satellites (m,) at a time, −1 where there is none."""
         table = self.table
-        if time_ns != self._chosen_ns:
-            _choose(table, self._flags, time_ns, self._choice)
-            self._chosen_ns = time_ns
+        if not self._from_ns <= time_ns < self._until_ns:
+            self._from_ns, self._until_ns = _choose(table, self._flags, time_ns, self._choice)
         return _looked_up(self._choice, satellites)
 
     def missing(self, time_ns: int, satellites: Integers) -> dict[str, MissingReason]:
@@ -169,7 +172,8 @@ class EphemerisStore:
             for (e, _, _), kind in ordered
         ]
         self._flags = np.array(flags, np.int64).reshape(-1, 4)
-        self._changed, self._chosen_ns = False, None
+        self._changed = False
+        self._from_ns, self._until_ns = 0, -1
 
 
 def _kind(ephemeris: Ephemeris) -> int:
@@ -261,27 +265,50 @@ def _looked_up(choice: Integers, satellites: Integers) -> Integers:
 
 
 @compiled
-def _choose(table: EphemerisTable, flags: Integers, time_ns: int, choice: Integers) -> None:
-    """Write the row of every satellite to `choice`; the table is ordered by satellite and kind.
+def _choose(table: EphemerisTable, flags: Integers, time_ns: int, choice: Integers) -> tuple[int, int]:
+    """Write the row of every satellite to `choice`; return the times between which the choice is constant.
 
     Where the nearest set is unhealthy there is none: an older healthy one is obsolete.
     """
-    satellite, kind = table.satellite, flags[:, _KIND]
-    in_use, best = np.zeros(satellite.size, np.bool_), -1
+    satellite, toe_ns = table.satellite, table.toe_ns
+    from_ns, until_ns = 0, _NEVER_NS
+    nearest = np.full((2, choice.size), -1, np.int64)
     for row in range(satellite.size):
-        if best >= 0 and (satellite[best] != satellite[row] or kind[best] != kind[row]):
-            best = -1
-        age_ns = abs(time_ns - table.toe_ns[row])
-        if age_ns <= flags[row, _LIMIT_NS] and (best < 0 or age_ns <= abs(time_ns - table.toe_ns[best])):
-            if best >= 0:
-                in_use[best] = False
-            in_use[row], best = flags[row, _HEALTHY] != 0, row
-    satellites_of_kind = np.zeros(2, np.int64)
+        toe, limit = toe_ns[row], flags[row, _LIMIT_NS]
+        # Begin and end of its use; midpoints between two sets follow below.
+        for edge in (toe - limit, toe + limit + 1):
+            if edge <= time_ns:
+                from_ns = max(from_ns, edge)
+            else:
+                until_ns = min(until_ns, edge)
+        if abs(time_ns - toe) > limit:
+            continue
+        kind, s = flags[row, _KIND], satellite[row]
+        best = nearest[kind, s]
+        if best < 0 or abs(time_ns - toe) <= abs(time_ns - toe_ns[best]):
+            nearest[kind, s] = row
     for row in range(satellite.size):
-        if in_use[row] and flags[row, _SYSTEM_IS_GALILEO]:
-            satellites_of_kind[kind[row]] += 1
-    galileo = _FNAV if satellites_of_kind[_FNAV] > satellites_of_kind[_INAV] else _INAV
+        best = nearest[flags[row, _KIND], satellite[row]]
+        if best < 0:
+            continue
+        # One nanosecond to either side costs a repeated choice, not a wrong one.
+        middle = toe_ns[row] + (toe_ns[best] - toe_ns[row]) // 2
+        if middle < time_ns - 1:
+            from_ns = max(from_ns, middle + 2)
+        elif middle > time_ns + 1:
+            until_ns = min(until_ns, middle - 1)
+        elif row != best:
+            from_ns, until_ns = time_ns, time_ns + 1
+    in_use = np.zeros(2, np.int64)
+    for row in range(satellite.size):
+        kind, s = flags[row, _KIND], satellite[row]
+        if nearest[kind, s] == row and flags[row, _SYSTEM_IS_GALILEO] and flags[row, _HEALTHY]:
+            in_use[kind] += 1
+    galileo = _FNAV if in_use[_FNAV] > in_use[_INAV] else _INAV
     choice[:] = -1
     for row in range(satellite.size):
-        if in_use[row] and kind[row] == (galileo if flags[row, _SYSTEM_IS_GALILEO] else _INAV):
-            choice[satellite[row]] = row
+        kind, s = flags[row, _KIND], satellite[row]
+        of_kind = galileo if flags[row, _SYSTEM_IS_GALILEO] else _INAV
+        if kind == of_kind and nearest[kind, s] == row and flags[row, _HEALTHY]:
+            choice[s] = row
+    return from_ns, until_ns

@@ -8,6 +8,8 @@ make disagree about its quarter of a cycle.
 
 from __future__ import annotations
 
+from functools import lru_cache
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -116,9 +118,13 @@ class SignalColumns(NamedTuple):
     half_cycle: Booleans
 
 
+_COLUMNS = attrgetter(*SignalColumns._fields)
+
+
+@lru_cache(maxsize=8)
 def columns_of(epoch: ObservationEpoch) -> SignalColumns:
-    """Columns of an epoch for the compiled code."""
-    return SignalColumns(*(getattr(epoch, name) for name in SignalColumns._fields))
+    """Columns of an epoch for the compiled code; each step of the engine asks for those of rover and base."""
+    return SignalColumns._make(_COLUMNS(epoch))
 
 
 class SignalPairs(NamedTuple):

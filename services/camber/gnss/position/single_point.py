@@ -141,11 +141,15 @@ def single_point(
     satellite, table = epoch.satellite[codes.row], ephemerides.table
     ephemeris = ephemerides.rows_at(epoch.time_ns, satellite)
     states = states_at_transmission(table, ephemeris, epoch.time_ns, epoch.pseudorange_m[codes.row])
-    rows = _rows_of(
-        columns_of(epoch), codes.row, states, ephemeris=ephemeris, group_delay_s=table.group_delay_s
+    status, converged, at, fit, candidate, elevation_rad = _position(
+        columns_of(epoch),
+        codes.row,
+        states,
+        ephemeris=ephemeris,
+        group_delay_s=table.group_delay_s,
+        ionosphere=ionosphere,
+        of_week_s=epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND,
     )
-    of_week_s = epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND
-    status, converged, at, fit = _iterate(rows, ionosphere, of_week_s)
     ok, tested = status == OK, status in (OK, INCONSISTENT)
     return SinglePoint(
         time_ns=epoch.time_ns,
@@ -160,8 +164,8 @@ def single_point(
         codes=codes,
         states=states,
         used=fit.used & tested,
-        excluded=rows.candidate & ~fit.used & tested,
-        elevation_rad=rows.elevation_rad,
+        excluded=candidate & ~fit.used & tested,
+        elevation_rad=elevation_rad,
     )
 
 
@@ -240,6 +244,22 @@ def _rows_of(
         candidate=np.zeros(m, np.bool_),
         elevation_rad=np.full(m, np.nan),
     )
+
+
+@compiled
+def _position(
+    columns: SignalColumns,
+    row: Integers,
+    states: SatelliteStates,
+    ephemeris: Integers,
+    group_delay_s: Floats,
+    ionosphere: Floats,
+    of_week_s: float,
+) -> tuple[int, bool, Floats, RobustFit, Booleans, Floats]:
+    """`_iterate` on the rows of an epoch, with their candidates (m,) and elevations (m,); one call copies less."""
+    rows = _rows_of(columns, row, states, ephemeris=ephemeris, group_delay_s=group_delay_s)
+    status, converged, at, fit = _iterate(rows, ionosphere, of_week_s)
+    return status, converged, at, fit, rows.candidate, rows.elevation_rad
 
 
 @compiled

@@ -44,6 +44,8 @@ from camber.gnss.position.single_point import SinglePoint
 
 Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_position"]
 """`no_position`: there is no approximate position, so there are no directions."""
+_UNKNOWN = np.full((3, 3), np.nan)
+_UNKNOWN.flags.writeable = False
 _STATUS: tuple[Status, ...] = ("ok", "too_few", "degenerate", "inconsistent", "no_position")
 _NO_POSITION = 4  # a status after those of `robust_least_squares`
 _GREATEST_DOPPLER_HZ = 1.0e5  # derived: satellites 5 kHz, a receiver's clock at 50 ppm 80 kHz
@@ -78,14 +80,19 @@ def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVel
 
     Never raises for what an epoch holds.
     """
-    rates = _mean_rates(columns_of(epoch), single.satellite, single.codes.place)
-    fit, candidate, hdop = _velocity(*rates, single.states, single.approximate_ecef_m)
+    fit, candidate, hdop = _velocity(
+        columns_of(epoch),
+        single.satellite,
+        single.codes.place,
+        states=single.states,
+        receiver_ecef_m=single.approximate_ecef_m,
+    )
     ok, tested = fit.status == OK, fit.status in (OK, INCONSISTENT)
     return DopplerVelocity(
         time_ns=epoch.time_ns,
         status=_STATUS[fit.status],
-        velocity_enu_m_s=fit.value[:3] if ok else np.full(3, np.nan),
-        covariance_enu_m2_s2=fit.covariance[:3, :3] if ok else np.full((3, 3), np.nan),
+        velocity_enu_m_s=fit.value[:3] if ok else _UNKNOWN[0],
+        covariance_enu_m2_s2=fit.covariance[:3, :3] if ok else _UNKNOWN,
         clock_drift_m_s=float(fit.value[3]) if ok else np.nan,
         hdop=hdop,
         chi_squared=fit.chi_squared,
@@ -117,9 +124,14 @@ def range_rate_m_s(
 
 @compiled
 def _velocity(
-    rate: Floats, weight: Floats, states: SatelliteStates, receiver_ecef_m: Floats
+    columns: SignalColumns,
+    satellite: Integers,
+    place: Integers,
+    states: SatelliteStates,
+    receiver_ecef_m: Floats,
 ) -> tuple[RobustFit, Booleans, float]:
     """Fit of velocity in east, north, up and clock drift to `_mean_rates`; candidate satellites (m,); HDOP."""
+    rate, weight = _mean_rates(columns, satellite, place)
     m = rate.size
     candidate, direction = np.zeros(m, np.bool_), np.empty(3)
     latitude, longitude, _ = geodetic(receiver_ecef_m)
