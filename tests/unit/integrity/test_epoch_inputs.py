@@ -5,7 +5,8 @@ import typing
 import pytest
 
 from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.epoch_inputs import EpochInputs, age_s
+from camber.integrity.decision_table import TEST_RULES
+from camber.integrity.epoch_inputs import ANTENNA_CHECKS, POSE_CHECKS, ROAD_CHECKS, EpochInputs, age_s
 from camber.integrity.rules import Rules
 from camber.schemas.pose import RoadReason
 from support.judging import ALL, antenna, at, pose, road
@@ -53,6 +54,11 @@ def missing(**changes):
 
 def test_with_all_there_nothing_is_missing():
     assert missing() is None
+
+
+def test_every_rule_and_check_of_the_table_is_explained():
+    entries = (*TEST_RULES, *POSE_CHECKS, *ANTENNA_CHECKS, *ROAD_CHECKS)
+    assert [entry.reason for entry in entries if not entry.explanation] == []
 
 
 def test_without_a_test_of_the_height_neither_road_nor_antenna_is_needed():

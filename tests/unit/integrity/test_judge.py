@@ -714,6 +714,7 @@ def test_a_fix_whose_subsets_disagree_is_confirmed_where_enough_else_speaks_for_
     carried = drive.epoch(1, fix(1, subset_agreement="disagree"))
     assert verdict_and_reason(carried) == ("confirmed_after_verification", "subsets_disagree")
     assert carried.evidence == ("time_series",)
+    assert carried.detail == "without one system its satellites are fixed elsewhere"
     vague = fix(2, subset_agreement="disagree", covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     assert verdict_and_reason(drive.epoch(2, vague)) == ("unknown", "subsets_disagree")
 
