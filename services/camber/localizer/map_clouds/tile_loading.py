@@ -44,10 +44,11 @@ class CloudTileLoader:
             self._retried_ns = now_ns
             self._blocks.forget_missing()
         self._blocks.drop_far_tiles(latitude_rad, longitude_rad)
+        needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
         held = set(self._blocks.tiles_held())
         self._sha256 = {key: sha256 for key, sha256 in self._sha256.items() if key in held}
         self._stale = [key for key in self._stale if key in held]
-        self._load(latitude_rad, longitude_rad, now_ns)
+        self._load(needed, now_ns)
         block = self._blocks.block_at(latitude_rad, longitude_rad)
         self.reason = self._blocks.reason
         return block
@@ -56,28 +57,39 @@ class CloudTileLoader:
         """Do one step of building the block at a position ahead, from tiles that are loaded."""
         self._blocks.build_ahead(latitude_rad, longitude_rad, bounds)
 
-    def _load(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> None:
+    def _load(self, needed: list[_TileKey], now_ns: int) -> None:
         paused = self._paused_ns is not None and 0 <= now_ns - self._paused_ns < _PAUSE_NS
         if paused or not self._map_queries.is_available():
             return
-        for _ in range(_PARTS_PER_STEP):
+        parts = _PARTS_PER_STEP
+        while parts > 0:
             if self._fetch is None:
-                needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
                 key = next(iter((*needed, *self._stale)), None)
                 if key is None:
                     return
-                self._fetch = TileFetch(*key, have_sha256=self._sha256.get(key))
-            reply = self._map_queries.tile(self._fetch.request(now_ns))
+                self._fetch = TileFetch(*key, have_sha256=self._sha256.get(key), parts_per_step=parts)
+            parts -= self._step(self._fetch, now_ns)
+            if self._paused_ns == now_ns:
+                return
+            if self._fetch.state != "loading":
+                done = self._finish(self._fetch)
+                needed = [key for key in needed if key != done]
+                self._fetch = None
+
+    def _step(self, fetch: TileFetch, now_ns: int) -> int:
+        """Request some parts; return their number."""
+        requested = 0
+        for request in fetch.requests(now_ns):
+            reply = self._map_queries.tile(request)
             if isinstance(reply, MapQueryFailure):
                 self._diagnostics.issue("no_tile", reply.text)
                 self._paused_ns = now_ns
-                return
-            self._fetch.receive(reply)
-            if self._fetch.state != "loading":
-                self._finish(self._fetch)
-                self._fetch = None
+                break
+            fetch.receive(request.part, reply)
+            requested += 1
+        return max(requested, 1)
 
-    def _finish(self, fetch: TileFetch) -> None:
+    def _finish(self, fetch: TileFetch) -> _TileKey:
         key: _TileKey = (fetch.layer, fetch.x, fetch.y)
         if key in self._stale:
             self._stale.remove(key)
@@ -89,3 +101,4 @@ class CloudTileLoader:
             self._blocks.set_tile(*key, None, fetch.reason)
             self._sha256.pop(key, None)
             self._diagnostics.count("tile.missing")
+        return key
