@@ -88,9 +88,18 @@ class Server:
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def end(self) -> None:
-        """Kill it and the processes that it has started."""
+        """Kill it and the processes that it has started.
+
+        PostgreSQL gives each connection a process in a process group of its own, which outlives the first process
+        until it notices that it is gone, and answers meanwhile.
+        """
         if self.process is not None:
-            os.killpg(self.process.pid, signal.SIGKILL)
+            pid = self.process.pid
+            os.kill(pid, signal.SIGSTOP)  # starts no further ones
+            for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(int(child), signal.SIGKILL)
+            os.kill(pid, signal.SIGKILL)
             self.process.wait()
             self.process = None
 
