@@ -89,6 +89,8 @@ class _Reached:
         if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
             content = hashlib.sha256(value.tobytes()).hexdigest()
             return str(value.dtype.descr), value.shape, value.strides, value.flags.writeable, content
+        if isinstance(value, np.dtype) and not value.hasobject:
+            return "dtype", repr(value)
         if isinstance(value, Enum):
             return _class(type(value)), value.name
         if _is_versioned(value):

@@ -119,10 +119,22 @@ def test_it_changes_with_types_and_with_the_names_of_their_fields() -> None:
     assert len(set(digests)) == len(arguments)
 
 
+def test_it_changes_with_each_property_of_a_type_of_rows() -> None:
+    types_of_rows = [
+        "np.dtype([('a', 'i8'), ('b', '?')])",
+        "np.dtype([('b', 'i8'), ('a', '?')])",
+        "np.dtype([('a', 'f8'), ('b', '?')])",
+        "np.dtype([('a', 'i8'), ('b', '?')], align=True)",
+    ]
+    digests = {digest(KERNEL.replace("LIMIT = 3.0", f"LIMIT = {each}")) for each in types_of_rows}
+    assert len(digests) == len(types_of_rows)
+
+
 @pytest.mark.parametrize(
     "reached",
     [
         "{}",
+        "np.dtype([('a', object)])",
         "[1]",
         "object()",
         "np.random.default_rng(1)",

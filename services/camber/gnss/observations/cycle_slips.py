@@ -7,15 +7,13 @@ mismatch of phase and Doppler. A gap ends an arc too. Another code of the same b
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, ObservationEpoch
 from camber.gnss.observations.signal_pairs import (
     WAVELENGTH_M,
-    Booleans,
     SignalColumns,
     band_of,
     columns_of,
@@ -40,15 +38,19 @@ _LOCK_ROUNDING_S = 0.002
 """Formats report the lock time in steps, of half its value at worst: below half the interval lock was lost."""
 
 
-class _PhaseStates(NamedTuple):
-    """The last epoch of each signal, by slot."""
-
-    time_ns: Integers
-    arc: Integers
-    phase_cycles: Floats
-    doppler_hz: Floats
-    lock_s: Floats
-    half_cycle: Booleans
+_PHASE_STATE = np.dtype(
+    [
+        ("time_ns", np.int64),
+        ("arc", np.int64),
+        ("phase_cycles", np.float64),
+        ("doppler_hz", np.float64),
+        ("lock_s", np.float64),
+        ("half_cycle", np.bool_),
+    ],
+    align=True,
+)
+_PhaseStates = NDArray[np.void]
+"""The last epoch of each signal, by slot, of `_PHASE_STATE`; its arc is 0 before the first one."""
 
 
 class CycleSlipDetector:
@@ -56,14 +58,7 @@ class CycleSlipDetector:
 
     def __init__(self, *, longest_gap_s: float = 2.1) -> None:
         self._gap_ns = round(longest_gap_s * 1e9)
-        self._states = _PhaseStates(
-            time_ns=np.full(_SLOTS, np.iinfo(np.int64).min, np.int64),
-            arc=np.zeros(_SLOTS, np.int64),
-            phase_cycles=np.full(_SLOTS, np.nan),
-            doppler_hz=np.full(_SLOTS, np.nan),
-            lock_s=np.full(_SLOTS, np.nan),
-            half_cycle=np.zeros(_SLOTS, np.bool_),
-        )
+        self._states: _PhaseStates = np.zeros(_SLOTS, _PHASE_STATE)
         self.begun = np.zeros(len(REASONS), np.int64)
         """Number of new arcs by `REASONS`."""
 
@@ -110,13 +105,13 @@ def _update(states: _PhaseStates, phases: SignalColumns, begun: Integers, gap_ns
             continue
         if reason[i] != _CONTINUOUS:
             begun[reason[i]] += 1
-            states.arc[slot] = begun.sum()
-        arcs[i] = states.arc[slot]
-        states.time_ns[slot] = time_ns
-        states.phase_cycles[slot] = phases.carrier_phase_cycles[i]
-        states.doppler_hz[slot] = phases.doppler_hz[i]
-        states.lock_s[slot] = phases.lock_time_s[i]
-        states.half_cycle[slot] = phases.half_cycle[i]
+            states["arc"][slot] = begun.sum()
+        arcs[i] = states["arc"][slot]
+        states["time_ns"][slot] = time_ns
+        states["phase_cycles"][slot] = phases.carrier_phase_cycles[i]
+        states["doppler_hz"][slot] = phases.doppler_hz[i]
+        states["lock_s"][slot] = phases.lock_time_s[i]
+        states["half_cycle"][slot] = phases.half_cycle[i]
     return arcs
 
 
@@ -135,10 +130,10 @@ def _test_signals(
         slot = slots[i]
         if slot < 0:
             continue
-        if states.arc[slot] == 0:
+        if states["arc"][slot] == 0:
             reason[i] = _NEW
             continue
-        since_ns = phases.time_ns - states.time_ns[slot]
+        since_ns = phases.time_ns - states["time_ns"][slot]
         since_s = since_ns * 1e-9
         if since_ns <= 0 or since_ns > gap_ns:
             reason[i] = _GAP
@@ -146,13 +141,13 @@ def _test_signals(
         lock_s = phases.lock_time_s[i]
         if phases.loss_of_lock[i]:
             reason[i] = _FLAG
-        elif lock_s < states.lock_s[slot] - _LOCK_ROUNDING_S or lock_s < 0.5 * since_s:
+        elif lock_s < states["lock_s"][slot] - _LOCK_ROUNDING_S or lock_s < 0.5 * since_s:
             reason[i] = _LOCK
-        elif phases.half_cycle[i] != states.half_cycle[slot]:
+        elif phases.half_cycle[i] != states["half_cycle"][slot]:
             reason[i] = _HALF
-        predicted = -0.5 * (phases.doppler_hz[i] + states.doppler_hz[slot]) * since_s
+        predicted = -0.5 * (phases.doppler_hz[i] + states["doppler_hz"][slot]) * since_s
         mismatch_m[i] = (
-            phases.carrier_phase_cycles[i] - states.phase_cycles[slot] - predicted
+            phases.carrier_phase_cycles[i] - states["phase_cycles"][slot] - predicted
         ) * wavelength_m[i]
     return mismatch_m
 
@@ -167,7 +162,7 @@ def _test_doppler(
     for i in range(slots.size):
         if slots[i] < 0 or reason[i] != _CONTINUOUS:
             continue
-        since_s = (time_ns - states.time_ns[slots[i]]) * 1e-9
+        since_s = (time_ns - states["time_ns"][slots[i]]) * 1e-9
         if abs(mismatch_m[i] - common_m) > _DOPPLER_THRESHOLD_M + _DOPPLER_THRESHOLD_M_S2 * since_s * since_s:
             reason[i] = _DOPPLER
 
@@ -184,13 +179,13 @@ def _test_geometry_free(
                 _is_continuous(slots, reason, i) and _is_continuous(slots, reason, j)
             ):
                 continue
-            before_ns = states.time_ns[slots[i]]
-            if states.time_ns[slots[j]] != before_ns:
+            before_ns = states["time_ns"][slots[i]]
+            if states["time_ns"][slots[j]] != before_ns:
                 continue
             if (phases.time_ns - before_ns) * 1e-9 > _LONGEST_FREE_S:
                 continue
             moved_m = cycles[i] * wavelength_m[i] - cycles[j] * wavelength_m[j]
-            moved_m -= states.phase_cycles[slots[i]] * wavelength_m[i]
-            moved_m += states.phase_cycles[slots[j]] * wavelength_m[j]
+            moved_m -= states["phase_cycles"][slots[i]] * wavelength_m[i]
+            moved_m += states["phase_cycles"][slots[j]] * wavelength_m[j]
             if abs(moved_m) > _GEOMETRY_FREE_THRESHOLD_M:
                 reason[i] = reason[j] = _FREE

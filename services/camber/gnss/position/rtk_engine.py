@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from camber.formats.observations import Ephemeris, Floats, Integers, ObservationEpoch
-from camber.gnss.ambiguity.continuity import Continuity, ContinuityTracker, FixedIntegers
+from camber.gnss.ambiguity.continuity import Continuity, ContinuityTracker, fixed_integers
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, FAR, IMPRECISE, NO_POSITION, Estimate
 from camber.gnss.ambiguity.resolution import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.observations.base_station import BaseStation
@@ -227,15 +227,9 @@ class Engine:
         self, time_ns: int, rows: SingleDifferences, estimate: Estimate, rover_arcs: Integers
     ) -> tuple[Continuity, int | None]:
         """Continuity of a fix with the last one; without all integers there is no evidence."""
-        known = np.flatnonzero(~np.isnan(estimate.integer))
-        if known.size == 0:
+        integers = fixed_integers(rows, estimate.integer, rover_arcs, self.base.arcs)
+        if integers.size == 0:
             return "no_evidence", None
-        integers = FixedIntegers(
-            satellite=rows.satellite[known],
-            group=rows.group[known],
-            integer=estimate.integer[known].astype(np.int64),
-            arc=np.column_stack((rover_arcs[rows.rover[known]], self.base.arcs[rows.base[known]])),
-        )
         return self._continuity.update(time_ns, integers)
 
 

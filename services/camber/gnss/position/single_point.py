@@ -47,8 +47,6 @@ from camber.gnss.observations.signal_pairs import (
     MOST_BANDS,
     SYSTEM_INDEX,
     Booleans,
-    SignalColumns,
-    columns_of,
 )
 from camber.gnss.position.robust_least_squares import (
     DEGENERATE,
@@ -141,16 +139,19 @@ def single_point(
     satellite, table = epoch.satellite[codes.row], ephemerides.table
     ephemeris = ephemerides.rows_at(epoch.time_ns, satellite)
     states = states_at_transmission(table, ephemeris, epoch.time_ns, epoch.pseudorange_m[codes.row])
-    status, converged, at, fit, candidate, elevation_rad = _position(
-        columns_of(epoch),
-        codes.row,
-        states,
+    status, converged, at, fit, excluded, elevation_rad = _position(
+        satellite,
+        epoch.signal[codes.row],
+        epoch.pseudorange_m[codes.row],
+        epoch.cn0_dbhz[codes.row],
+        position_m=states.position_m,
+        clock_s=states.clock_s,
         ephemeris=ephemeris,
         group_delay_s=table.group_delay_s,
         ionosphere=ionosphere,
         of_week_s=epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND,
     )
-    ok, tested = status == OK, status in (OK, INCONSISTENT)
+    ok = status == OK
     return SinglePoint(
         time_ns=epoch.time_ns,
         status=_STATUS[status],
@@ -163,8 +164,8 @@ def single_point(
         satellite=satellite,
         codes=codes,
         states=states,
-        used=fit.used & tested,
-        excluded=candidate & ~fit.used & tested,
+        used=fit.used,
+        excluded=excluded,
         elevation_rad=elevation_rad,
     )
 
@@ -218,24 +219,37 @@ class _Rows(NamedTuple):
 
 
 @compiled
-def _rows_of(
-    columns: SignalColumns, row: Integers, states: SatelliteStates, ephemeris: Integers, group_delay_s: Floats
-) -> _Rows:
-    """Rows of the codes `row` (m,) of an epoch; `ephemeris` (m,) is a satellite's row of the group delays, or −1."""
-    m = row.size
+def _position(
+    satellite: Integers,
+    signal: Integers,
+    pseudorange_m: Floats,
+    cn0_dbhz: Floats,
+    position_m: Floats,
+    clock_s: Floats,
+    ephemeris: Integers,
+    group_delay_s: Floats,
+    ionosphere: Floats,
+    of_week_s: float,
+) -> tuple[int, bool, Floats, RobustFit, Booleans, Floats]:
+    """`_iterate` with one code of each satellite (m,), with the excluded satellites (m,) and the elevations (m,).
+
+    `ephemeris` (m,) is a satellite's row of the group delays, or −1. Unless the fit was tested, none is used or
+    excluded. The columns cross to compiled code faster one by one than as tuples.
+    """
+    m = satellite.size
     measured, dispersion = np.full(m, np.nan), np.full(m, np.nan)
     group, measurable = np.empty(m, np.int64), np.zeros(m, np.bool_)
     for k in range(m):
-        letter, band = columns.satellite[row[k]] >> 8, (columns.signal[row[k]] >> 8) - 48
+        letter, band = satellite[k] >> 8, (signal[k] >> 8) - 48
         group[k] = SYSTEM_INDEX[letter]
         dispersion[k] = (IONOSPHERE_CARRIER_HZ / CARRIER_HZ[letter, band]) ** 2
         if ephemeris[k] >= 0:
-            clock_s = states.clock_s[k] - group_delay_s[ephemeris[k], band]
-            measured[k] = columns.pseudorange_m[row[k]] + SPEED_OF_LIGHT_M_S * clock_s
+            satellite_clock_s = clock_s[k] - group_delay_s[ephemeris[k], band]
+            measured[k] = pseudorange_m[k] + SPEED_OF_LIGHT_M_S * satellite_clock_s
         measurable[k] = abs(measured[k] * dispersion[k]) < np.inf
-    return _Rows(
-        position_m=states.position_m,
-        cn0_dbhz=columns.cn0_dbhz[row],
+    rows = _Rows(
+        position_m=position_m,
+        cn0_dbhz=cn0_dbhz,
         group=group,
         range_m=measured,
         dispersion=dispersion,
@@ -244,22 +258,12 @@ def _rows_of(
         candidate=np.zeros(m, np.bool_),
         elevation_rad=np.full(m, np.nan),
     )
-
-
-@compiled
-def _position(
-    columns: SignalColumns,
-    row: Integers,
-    states: SatelliteStates,
-    ephemeris: Integers,
-    group_delay_s: Floats,
-    ionosphere: Floats,
-    of_week_s: float,
-) -> tuple[int, bool, Floats, RobustFit, Booleans, Floats]:
-    """`_iterate` on the rows of an epoch, with their candidates (m,) and elevations (m,); one call copies less."""
-    rows = _rows_of(columns, row, states, ephemeris=ephemeris, group_delay_s=group_delay_s)
     status, converged, at, fit = _iterate(rows, ionosphere, of_week_s)
-    return status, converged, at, fit, rows.candidate, rows.elevation_rad
+    excluded, tested = rows.candidate, status in (OK, INCONSISTENT)
+    for k in range(m):
+        fit.used[k] &= tested
+        excluded[k] &= tested and not fit.used[k]
+    return status, converged, at, fit, excluded, rows.elevation_rad
 
 
 @compiled

@@ -25,12 +25,11 @@ from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
 from camber.gnss.observations.satellite_states import (
     EARTH_ROTATION_RAD_S,
-    SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import CARRIER_HZ, MOST_BANDS, Booleans, SignalColumns, columns_of
+from camber.gnss.observations.signal_pairs import CARRIER_HZ, MOST_BANDS, Booleans
 from camber.gnss.position.robust_least_squares import (
     INCONSISTENT,
     OK,
@@ -80,14 +79,18 @@ def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVel
 
     Never raises for what an epoch holds.
     """
-    fit, candidate, hdop = _velocity(
-        columns_of(epoch),
-        single.satellite,
-        single.codes.place,
-        states=single.states,
+    fit, excluded, hdop = _velocity(
+        epoch.signal,
+        epoch.doppler_hz,
+        epoch.cn0_dbhz,
+        satellite=single.satellite,
+        place=single.codes.place,
+        position_m=single.states.position_m,
+        velocity_m_s=single.states.velocity_m_s,
+        clock_rate=single.states.clock_rate,
         receiver_ecef_m=single.approximate_ecef_m,
     )
-    ok, tested = fit.status == OK, fit.status in (OK, INCONSISTENT)
+    ok = fit.status == OK
     return DopplerVelocity(
         time_ns=epoch.time_ns,
         status=_STATUS[fit.status],
@@ -97,8 +100,8 @@ def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVel
         hdop=hdop,
         chi_squared=fit.chi_squared,
         degrees=fit.degrees,
-        used=fit.used & tested,
-        excluded=candidate & ~fit.used & tested,
+        used=fit.used,
+        excluded=excluded,
     )
 
 
@@ -124,14 +127,22 @@ def range_rate_m_s(
 
 @compiled
 def _velocity(
-    columns: SignalColumns,
+    signal: Integers,
+    doppler_hz: Floats,
+    cn0_dbhz: Floats,
     satellite: Integers,
     place: Integers,
-    states: SatelliteStates,
+    position_m: Floats,
+    velocity_m_s: Floats,
+    clock_rate: Floats,
     receiver_ecef_m: Floats,
 ) -> tuple[RobustFit, Booleans, float]:
-    """Fit of velocity in east, north, up and clock drift to `_mean_rates`; candidate satellites (m,); HDOP."""
-    rate, weight = _mean_rates(columns, satellite, place)
+    """Fit of velocity in east, north, up and clock drift to `_mean_rates`; excluded satellites (m,); HDOP.
+
+    Unless the fit was tested, none is used or excluded. The columns cross to compiled code faster one by one than as
+    tuples.
+    """
+    rate, weight = _mean_rates(signal, doppler_hz, cn0_dbhz, satellite=satellite, place=place)
     m = rate.size
     candidate, direction = np.zeros(m, np.bool_), np.empty(3)
     latitude, longitude, _ = geodetic(receiver_ecef_m)
@@ -140,11 +151,9 @@ def _velocity(
     rotation = enu_from_ecef_rotation(latitude, longitude)
     model = empty_model(m, 4)
     for k in range(m):
-        if not (weight[k] > 0.0 and states.clock_rate[k] == states.clock_rate[k]):
+        if not (weight[k] > 0.0 and clock_rate[k] == clock_rate[k]):
             continue
-        static_rate, slope = range_rate_m_s(
-            states.position_m[k], states.velocity_m_s[k], receiver_ecef_m, direction
-        )
+        static_rate, slope = range_rate_m_s(position_m[k], velocity_m_s[k], receiver_ecef_m, direction)
         for axis in range(3):
             model.design[k, axis] = -(
                 rotation[axis, 0] * direction[0]
@@ -156,15 +165,21 @@ def _velocity(
             continue
         model.design[k, :3] /= slope
         model.design[k, 3] = 1.0
-        model.observed[k] = rate[k] - static_rate + SPEED_OF_LIGHT_M_S * states.clock_rate[k]
+        model.observed[k] = rate[k] - static_rate + SPEED_OF_LIGHT_M_S * clock_rate[k]
         model.sigma[k] = math.sqrt(1.0 / weight[k] + (_BACKGROUND_M_S / sine) ** 2)
         candidate[k] = True
     fit = consistent_fit(model, candidate, _FALSE_ALARM)
+    tested = fit.status in (OK, INCONSISTENT)
+    for k in range(m):
+        fit.used[k] &= tested
+        candidate[k] &= tested and not fit.used[k]
     return fit, candidate, horizontal_dilution(model.design, fit.used) if fit.status == OK else np.nan
 
 
 @compiled
-def _mean_rates(columns: SignalColumns, satellite: Integers, place: Integers) -> tuple[Floats, Floats]:
+def _mean_rates(
+    signal: Integers, doppler_hz: Floats, cn0_dbhz: Floats, satellite: Integers, place: Integers
+) -> tuple[Floats, Floats]:
     """−(c/f) D of each satellite (m,) and its weight, 0 where there is none; of each band the best C/N0 counts.
 
     `place` (n,) as in `Codes`.
@@ -174,11 +189,11 @@ def _mean_rates(columns: SignalColumns, satellite: Integers, place: Integers) ->
     best = np.full((m, MOST_BANDS), -1, np.int64)
     sigma = np.full((m, MOST_BANDS), np.inf)
     for i in range(place.size):
-        k, cn0_dbhz = place[i], columns.cn0_dbhz[i]
-        if k < 0 or not abs(columns.doppler_hz[i]) < _GREATEST_DOPPLER_HZ:
+        k = place[i]
+        if k < 0 or not abs(doppler_hz[i]) < _GREATEST_DOPPLER_HZ:
             continue
-        band = (columns.signal[i] >> 8) - 48
-        level = cn0_dbhz if 0.0 <= cn0_dbhz < 100.0 else 40.0
+        band = (signal[i] >> 8) - 48
+        level = cn0_dbhz[i] if 0.0 <= cn0_dbhz[i] < 100.0 else 40.0
         of_row = _NOISE_M_S * 10.0 ** ((45.0 - level) / 20.0)
         if of_row < sigma[k, band]:
             best[k, band], sigma[k, band] = i, of_row
@@ -187,7 +202,7 @@ def _mean_rates(columns: SignalColumns, satellite: Integers, place: Integers) ->
             if best[k, band] >= 0:
                 of_band = 1.0 / (sigma[k, band] * sigma[k, band])
                 metres = SPEED_OF_LIGHT_M_S / CARRIER_HZ[satellite[k] >> 8, band]
-                total[k] -= of_band * columns.doppler_hz[best[k, band]] * metres
+                total[k] -= of_band * doppler_hz[best[k, band]] * metres
                 weight[k] += of_band
         if weight[k] > 0.0:
             total[k] /= weight[k]

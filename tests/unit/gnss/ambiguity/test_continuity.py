@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.gnss.ambiguity.continuity import ContinuityTracker, FixedIntegers, compare
+from camber.gnss.ambiguity.continuity import FIXED_INTEGER, ContinuityTracker, FixedIntegers, compare
 from camber.gnss.observations.signal_pairs import GROUPS
 
 L1, L2 = 4, 8
@@ -13,9 +13,7 @@ L1, L2 = 4, 8
 
 def fix(*rows: tuple[int, int, int, int], base_arc: int = 1) -> FixedIntegers:
     """Rows of satellite, group, integer and the rover's arc."""
-    table = np.array(rows, np.int64).reshape(-1, 4)
-    arcs = np.column_stack((table[:, 3], np.full(len(table), base_arc)))
-    return FixedIntegers(table[:, 0], table[:, 1], table[:, 2], arcs)
+    return np.array([(*row, base_arc) for row in rows], FIXED_INTEGER)
 
 
 FIVE = [(s, L1, 100 * s, s) for s in range(1, 6)]
@@ -23,12 +21,12 @@ FIVE = [(s, L1, 100 * s, s) for s in range(1, 6)]
 
 def against(fixed: FixedIntegers, reference: int) -> FixedIntegers:
     """The same with another satellite as the reference of each group."""
-    integer = fixed.integer.copy()
-    for g in np.unique(fixed.group):
-        of_group = fixed.group == g
-        at = np.flatnonzero(of_group & (fixed.satellite == reference))
-        integer[of_group] -= fixed.integer[at[0]]
-    return FixedIntegers(fixed.satellite, fixed.group, integer, fixed.arc)
+    moved = fixed.copy()
+    for g in np.unique(fixed["group"]):
+        of_group = fixed["group"] == g
+        at = np.flatnonzero(of_group & (fixed["satellite"] == reference))
+        moved["integer"][of_group] -= fixed["integer"][at[0]]
+    return moved
 
 
 @pytest.mark.parametrize("before", range(1, 6))
@@ -95,6 +93,7 @@ def test_a_chain_begins_with_its_first_fix_and_anew_after_a_break():
 def test_a_fix_never_breaks_with_itself_and_a_group_moved_as_one_is_the_same(rows):
     rows = list({(s, g): (s, g, n, arc) for s, g, n, arc in rows}.values())
     one = fix(*rows)
-    moved = FixedIntegers(one.satellite, one.group, one.integer + 3 * one.group, one.arc)
+    moved = one.copy()
+    moved["integer"] += 3 * one["group"]
     assert compare(one, one, 3) != "broken"
     assert compare(one, moved, 3) == compare(one, one, 3)
