@@ -139,19 +139,15 @@ class _Output(NamedTuple):
 class EpochBatch:
     """The content of a chunk of a file.
 
-    Columns of all epochs: `floats` (4, rows) pseudorange, phase, Doppler, C/N0; `lock_time_s` (rows,) NaN, as RINEX has
-    none; `integers` (2, rows) satellite, signal;
-    `flags` (2, rows) loss of lock, half cycle. `epochs` (n, 3): GPS time [ns], end of its rows, number of problems up
-    to its end. `problems` (m, 4): line, first byte, one of the codes above, and the column or −1. `skipped` (256,):
-    satellites skipped by system letter. `consumed` bytes and `lines` are finished; `event` (3,): begin and end of an
-    event's header lines, and their number, if `stop` is EVENT; `missing`: lines needed, or another epoch line, before
-    the next epoch can be decoded. `stray_reported`: the last lines could not be read, and that has been reported.
+    `columns` (rows,) of all epochs, in the order of `ObservationEpoch`; RINEX has no lock time. `epochs` (n, 3): GPS
+    time [ns], end of its rows, number of problems up to its end. `problems` (m, 4): line, first byte, one of the codes
+    above, and the column or −1. `skipped` (256,): satellites skipped by system letter. `consumed` bytes and `lines` are
+    finished; `event` (3,): begin and end of an event's header lines, and their number, if `stop` is EVENT; `missing`:
+    lines needed, or another epoch line, before the next epoch can be decoded. `stray_reported`: the last lines could
+    not be read, and that has been reported.
     """
 
-    floats: Floats
-    lock_time_s: Floats
-    integers: Integers
-    flags: Flags
+    columns: tuple[Integers, Integers, Floats, Floats, Floats, Floats, Floats, Flags, Flags]
     epochs: Integers
     problems: Integers
     skipped: Integers
@@ -164,20 +160,20 @@ class EpochBatch:
 
     def observations(self, time_ns: int, rows: slice) -> ObservationEpoch:
         """Return the observations of one epoch."""
-        satellite, signal = self.integers[:, rows]
-        loss_of_lock, half_cycle = self.flags[:, rows]
-        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz = self.floats[:, rows]
+        satellite, signal, pseudorange, phase, doppler, cn0, lock_time, loss_of_lock, half_cycle = (
+            self.columns
+        )
         return ObservationEpoch(
             time_ns=time_ns,
-            satellite=satellite,
-            signal=signal,
-            pseudorange_m=pseudorange_m,
-            carrier_phase_cycles=carrier_phase_cycles,
-            doppler_hz=doppler_hz,
-            cn0_dbhz=cn0_dbhz,
-            lock_time_s=self.lock_time_s[rows],
-            loss_of_lock=loss_of_lock,
-            half_cycle=half_cycle,
+            satellite=satellite[rows],
+            signal=signal[rows],
+            pseudorange_m=pseudorange[rows],
+            carrier_phase_cycles=phase[rows],
+            doppler_hz=doppler[rows],
+            cn0_dbhz=cn0[rows],
+            lock_time_s=lock_time[rows],
+            loss_of_lock=loss_of_lock[rows],
+            half_cycle=half_cycle[rows],
         )
 
 
@@ -198,12 +194,11 @@ def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, stray_repor
     n_rows, n_epochs, n_problems, consumed, lines, stray_reported, stop, event, missing = _read_epochs(
         array, (line_number, stray_reported), layout.tables, output
     )
+    # Copies: what is kept of an epoch must not keep the unused room alive.
+    integers, floats = output.integers[:, :n_rows].copy(), output.floats[:, :n_rows].copy()
+    flags, lock_time_s = output.flags[:, :n_rows].copy(), np.full(n_rows, np.nan)
     return EpochBatch(
-        # Copies: what is kept of an epoch must not keep the unused room alive.
-        floats=output.floats[:, :n_rows].copy(),
-        lock_time_s=np.full(n_rows, np.nan),
-        integers=output.integers[:, :n_rows].copy(),
-        flags=output.flags[:, :n_rows].copy(),
+        columns=(*integers, *floats, lock_time_s, *flags),
         epochs=output.epochs[:n_epochs],
         problems=output.problems[:n_problems],
         skipped=output.skipped,
