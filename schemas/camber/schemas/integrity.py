@@ -55,6 +55,7 @@ Reason = Literal[
     "gnss_stale",
     "localizer_absent",
     "antenna_height_absent",
+    "no_independent_position",
 ]
 Evidence = Literal[
     "height",
@@ -66,10 +67,15 @@ Evidence = Literal[
     "phase_residuals",
     "subset_agreement",
     "estimates",
+    "consistency",
 ]
-Cause = Literal["none", "antenna", "road", "base", "ambiguous"]
+"""`position`: the fix agrees with a position that rests on no fix; `consistency`: with a pose that rests on fixes."""
+Cause = Literal["none", "antenna", "road", "base", "drift", "ambiguous"]
 """What a lasting difference comes from: the antenna's height, one surface of the map, the base station or the datum
-(every fix is off by one vector), or what one vehicle cannot distinguish."""
+(every fix is off by one vector), fixes led away along a growing vector, or what one vehicle cannot distinguish."""
+HorizontalReference = Literal["required", "assumed"]
+"""Whether a position is usable only with a horizontal reference that rests on no fix, or base station and signals are
+assumed to be honest."""
 PositionSource = Literal["rtk", "doppler", "sensors", "scan_match", "none"]
 
 
@@ -84,7 +90,7 @@ class Verdict(Message):
     verdict: VerdictValue
     reason: Reason
     detail: Text = ""
-    evidence: tuple[Evidence, ...] = Field((), max_length=8)
+    evidence: tuple[Evidence, ...] = Field((), max_length=10)
     height_difference_m: float | None = None
     tolerance_m: Sigma | None = None
     position_difference_m: Vector2 | None = Field(
@@ -98,6 +104,9 @@ class Verdict(Message):
         None, description="that a wrong fix would have passed, all trials charged"
     )
     cause: Cause = Field("none", description="of a lasting difference, where one is known")
+    horizontal_reference: HorizontalReference = Field(
+        "required", description="the judge's setting when this was judged"
+    )
     correction_m: float = Field(0.0, description="h_e in force when this was judged")
     trials: Count = 0
     latitude_rad: Latitude | None = Field(None, description="of the antenna, where confirmed")
@@ -116,6 +125,9 @@ class Position(Message):
         description="the protection levels at the integrity risk are below their alert limits"
     )
     reason: Reason = "none"
+    horizontal_reference: HorizontalReference = Field(
+        "required", description="the judge's setting that `usable` and the levels follow"
+    )
     latitude_rad: Latitude | None = None
     longitude_rad: Longitude | None = None
     height_m: Height | None = Field(None, description="ellipsoidal")

@@ -44,6 +44,10 @@ RoadReason = Literal[
 ]
 PoseMode = Literal["none", "provisional", "anchored", "dead_reckoning", "scan_match"]
 Provenance = Literal["none", "fixes", "given", "confirmed", "scan_match"]
+HorizontalBasis = Literal["none", "scan_match", "given", "relief", "odometry", "fixes"]
+"""What a horizontal position rests on. Only `scan_match`, `given` and `relief` have no part of a satellite position;
+`odometry`: of one of these, longer ago than it counts as fresh."""
+IndependentBasis = Literal["scan_match", "given", "relief"]
 
 
 class RoadPatch(Model):
@@ -86,6 +90,21 @@ class Road(Model):
     )
 
 
+class IndependentPosition(Model):
+    """Where the antenna is by evidence in which no horizontal satellite position had a part.
+
+    Scan matches, a given pose and the road's relief (heights of fixes against heights of the map), carried by odometry
+    and coupled to the map's links. No verdict and no fix's east or north changes it.
+    """
+
+    basis: IndependentBasis = Field(description="the last evidence")
+    latitude_rad: Latitude = Field(description="of the antenna, at the pose's time")
+    longitude_rad: Longitude = Field(description="of the antenna, at the pose's time")
+    covariance_east_north: Covariance2 = Field(description="(ee, en, nn) in m²")
+    evidence_time_ns: TimeNs = Field(description="of the last evidence")
+    distance_m: Sigma = Field(description="driven since the last evidence")
+
+
 class Pose(Message):
     """Approximate pose of the vehicle and of its antenna, owing nothing to unconfirmed satellite positions."""
 
@@ -107,6 +126,12 @@ class Pose(Message):
     motion_time_ns: TimeNs | None = Field(None, description="of the last motion sample that entered")
     match_time_ns: TimeNs | None = Field(
         None, description="of the last scan match that entered and left no direction open"
+    )
+    horizontal_basis: HorizontalBasis = Field(
+        "none", description="what the pose's own horizontal position rests on"
+    )
+    independent: IndependentPosition | None = Field(
+        None, description="the position without any satellite's horizontal position, where there is one"
     )
     road: Road
 

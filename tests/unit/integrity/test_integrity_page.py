@@ -9,7 +9,7 @@ from camber.schemas.integrity import Reason
 from support.tree import ROOT
 
 PAGE = (ROOT / "docs" / "services" / "integrity.md").read_text("utf-8")
-ONLY_IN_POSITIONS = {"pose_provisional"}
+ONLY_IN_POSITIONS = {"pose_provisional", "no_independent_position"}
 
 
 def test_every_setting_stands_on_the_page():
