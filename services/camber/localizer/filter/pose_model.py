@@ -53,6 +53,9 @@ class PoseModel:
     slip_sigma_m_s: float = 1.5
     slip_memory_s: float = 1.0
     slip_window_s: float = 0.5
+    wheel_hop_s: float = (
+        0.09  # period of a wheel on its tyre: on a bump its speed swings by 1 m/s about the vehicle's
+    )
     slip_above_m_s: float = 2.0
     max_acceleration_m_s2: float = 4.5
     max_braking_m_s2: float = 9.0

@@ -7,6 +7,9 @@ not learnt from it. The slip takes up changes of wheel speed that no vehicle mak
 all such changes having the same sign of error. Locked wheels brake the vehicle: it slides to rest, and after
 `locked_for_s` it is taken to stand.
 
+On a bump a wheel swings on its tyre: its speed departs from the vehicle's by 1 m/s and back within a tenth of a second
+(comma-2018-08-02). Readings that come faster are therefore compared by their means over `wheel_hop_s`.
+
 Slip is suspected where the wheels change faster than a vehicle can, or where scan matches contradict the distance
 by the wheels since a match of the last second. It ends when wheels and pose have agreed for a while, when the
 wheels have returned by a change as fast as few drivers make it, when they stand, or after a time without any
@@ -31,7 +34,9 @@ class WheelSlipDetector:
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
-        self._recent: list[tuple[int, float]] = []  # times and wheel speeds of the last window
+        self._recent: list[tuple[int, float]] = []  # times and mean wheel speeds of the last window
+        self._block: list[tuple[int, float]] = []  # readings not in it yet
+        self._last_m_s: float | None = None
         self._standing_s = 0.0  # how long the wheels have stood
         self._now_ns = self._since_ns = 0
         self.forget()
@@ -134,18 +139,16 @@ class WheelSlipDetector:
 
     def _wheel_change(self, time_ns: int, speed_m_s: float | None, step: MotionStep) -> float:
         """Return the change of wheel speed over a step; one that no vehicle makes begins the suspicion."""
-        model = self._model
         if speed_m_s is None or step.outcome == "gap":
             self._recent.clear()
+            self._block.clear()
+            self._last_m_s = None
             return 0.0
-        recent = self._recent
-        change = speed_m_s - recent[-1][1] if recent else 0.0
-        recent.append((time_ns, speed_m_s))
-        while time_ns - recent[0][0] > round(model.slip_window_s * 1e9):
-            recent.pop(0)
-        begin = self._last_plausible()
+        change = 0.0 if self._last_m_s is None else speed_m_s - self._last_m_s
+        self._last_m_s = speed_m_s
+        begin = self._last_plausible() if self._add_reading(time_ns, speed_m_s) else None
         if begin is not None:
-            del recent[:-1]
+            del self._recent[:-1]
             before_m_s = begin[1] - (speed_m_s - change)
             if not self.active:
                 self.begin(begin[0], self.covariance_if_slipping(begin[0]))
@@ -156,17 +159,33 @@ class WheelSlipDetector:
             self._since_ns = begin[0]
         return (1.0 + float(self._state.x[SCALE])) * change
 
+    def _add_reading(self, time_ns: int, speed_m_s: float) -> bool:
+        """Add a reading to those of the last window; return whether it completes a mean over `wheel_hop_s`."""
+        model, block, recent = self._model, self._block, self._recent
+        block.append((time_ns, speed_m_s))
+        before_ns = recent[-1][0] if recent else None
+        if before_ns is not None and time_ns - before_ns < round(model.wheel_hop_s * 1e9):
+            return False
+        recent.append((time_ns, sum(speed for _, speed in block) / len(block)))
+        block.clear()
+        while time_ns - recent[0][0] > round(model.slip_window_s * 1e9):
+            recent.pop(0)
+        return True
+
     def _last_plausible(self) -> tuple[int, float] | None:
         """Return time and wheel speed from which no vehicle reaches the present wheel speed; None without slip."""
-        model, (end_ns, end) = self._model, self._recent[-1]
+        return next(
+            (begin for begin in self._recent[:-1] if self._is_implausible(begin, self._recent[-1])), None
+        )
+
+    def _is_implausible(self, begin: tuple[int, float], end: tuple[int, float]) -> bool:
+        """Whether no vehicle changes its speed from one to the other."""
+        model = self._model
+        if min(abs(begin[1]), abs(end[1])) < model.slip_above_m_s:
+            return False
+        faster = abs(end[1]) - abs(begin[1])
+        limit = model.max_acceleration_m_s2 if faster > 0.0 else model.max_braking_m_s2
+        if self.active:
+            limit = model.max_calm_change_m_s2
         noise = 4.0 * math.sqrt(2.0) * model.motion.speed_noise_m_s
-        for begin_ns, begin in self._recent[:-1]:
-            if min(abs(begin), abs(end)) < model.slip_above_m_s:
-                continue
-            faster = abs(end) - abs(begin)
-            limit = model.max_acceleration_m_s2 if faster > 0.0 else model.max_braking_m_s2
-            if self.active:
-                limit = model.max_calm_change_m_s2
-            if abs(faster) > limit * (end_ns - begin_ns) * 1e-9 + noise:
-                return begin_ns, begin
-        return None
+        return abs(faster) > limit * (end[0] - begin[0]) * 1e-9 + noise
