@@ -88,6 +88,7 @@ class Localization:
         if options.matching is not None:
             self.matcher = ScanMatcher(options.matching, self._filter, map_queries, diagnostics)
         self._published_ns = 0
+        self._sensor_fault_reported = False
 
     @property
     def has_pose(self) -> bool:
@@ -152,6 +153,7 @@ class Localization:
         if time_ns is None or time_ns <= self._published_ns:
             return LocalizationOutput(None, matches)
         self._published_ns = time_ns
+        self._report_sensor_fault()
         return LocalizationOutput(self._pose(time_ns), matches)
 
     def _pose(self, time_ns: int) -> Pose:
@@ -196,7 +198,8 @@ class Localization:
         if estimate.mode == "provisional":
             yield "nothing but unconfirmed fixes stands for it"
         if estimate.conflict is not None:
-            yield f"{estimate.conflict} say another place"
+            verb = "says" if estimate.conflict == "odometry" else "say"
+            yield f"{estimate.conflict} {verb} another place"
         if estimate.wheel_slip_suspected:
             yield "the wheels do not say how fast the vehicle goes"
         if estimate.speed_m_s is None:
@@ -205,6 +208,14 @@ class Localization:
             yield "no rotation"
         if self.matcher is not None and self.matcher.reason:
             yield self.matcher.reason
+
+    def _report_sensor_fault(self) -> None:
+        """Report an error of a sensor that has left its physical bound, once while it lasts."""
+        fault = self._filter.sensor_fault
+        if fault is not None and not self._sensor_fault_reported:
+            text = f"{fault.error} {fault.estimate:.3g}, at most {fault.bound:.3g}: a sensor, or positions led away"
+            self._diagnostics.issue("sensor_out_of_bounds", text)
+        self._sensor_fault_reported = fault is not None
 
     def _attitude(self, time_ns: int, yaw_rad: float) -> tuple[float, float]:
         """Return roll and pitch by a recent match, else by the road's slope."""

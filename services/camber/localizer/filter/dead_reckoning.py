@@ -48,11 +48,10 @@ def propagate(x: Floats, p: Floats, step: MotionStep, *, turn: YawRate | None, m
     """
     dt = step.dt_s
     p[WHEEL_LAG, WHEEL_LAG] += model.wheel_lag_wander_s_sqrt_s**2 * dt
-    for index, sensor in ((BIAS_A, model.a_rate_sensor), (BIAS_B, model.b_rate_sensor)):
-        p[index, index] += model.bias_wander(sensor) ** 2 * dt
     if step.standing:
         if step.along_var_m2 > 0.0:
             _add_along(p, float(x[YAW]), step.along_var_m2)
+        _renew_biases(x, p, dt, model)
         return 0.0
     turn = turn or _NO_YAW_RATE
     moved = _displacement(x, step, turn)
@@ -72,8 +71,23 @@ def propagate(x: Floats, p: Floats, step: MotionStep, *, turn: YawRate | None, m
         left_var=model.lateral_noise_m_sqrt_m**2 * path + 0.25 * turn_var * path * path,
         turn_var=turn_var,
     )
-    p[SCALE, SCALE] += model.speed_scale_wander_per_sqrt_m**2 * path
+    keep = math.exp(-abs(step.speed_m_s) * dt / model.speed_scale_length_m)
+    _renew(x, p, SCALE, keep=keep, sigma=model.speed_scale_sigma)
+    _renew_biases(x, p, dt, model)
     return path
+
+
+def _renew_biases(x: Floats, p: Floats, dt_s: float, model: MotionModel) -> None:
+    for index, sensor in ((BIAS_A, model.a_rate_sensor), (BIAS_B, model.b_rate_sensor)):
+        _renew(x, p, index, keep=math.exp(-dt_s / model.bias_time_s(sensor)), sigma=model.bias_sigma(sensor))
+
+
+def _renew(x: Floats, p: Floats, index: int, *, keep: float, sigma: float) -> None:
+    """Advance a Gauss-Markov process of this sigma, of which the share `keep` remains."""
+    x[index] *= keep
+    p[index] *= keep
+    p[:, index] *= keep
+    p[index, index] += (1.0 - keep * keep) * sigma * sigma
 
 
 def _displacement(x: Floats, step: MotionStep, turn: YawRate) -> _StepDisplacement:

@@ -32,28 +32,36 @@ _GAIN_NOISE_SHARE: Final = 0.3  # chosen: share of a gain's error that changes f
 class MotionModel:
     """Error model of the vehicle's sensors.
 
-    The numbers were chosen for wheel-speed, yaw-rate and steering sensors of production cars; the consistency tests
-    (NEES) of `tests/unit/localizer/filter` and `support.tunnel_statistics` check what follows from them. Noise is per
-    reading and held for `noise_hold_s`: reading ten times as often does not average it out.
+    The numbers are those of production cars; docs/theory/odometry.md has their sources. The consistency tests (NEES) of
+    `tests/unit/localizer/filter` and `support.tunnel_statistics` check what follows from them. Noise is per reading and
+    held for `noise_hold_s`: reading ten times as often does not average it out. Lasting errors are Gauss-Markov
+    processes of their initial σ, so that they cannot walk away; beyond its bound an error is a fault (`sensor_bounds`).
     """
 
     a_rate_sensor: RateSensor = "yaw_rate"
     wheelbase_m: float = 2.7
     speed_scale_sigma: float = 0.005
-    speed_scale_wander_per_sqrt_m: float = 5e-5
+    speed_scale_length_m: float = 20_000.0  # pressure and radius follow the tyre's temperature
+    speed_scale_bound: float = 0.02  # wear 1 %, pressure 0.3 %, load and temperature 0.2 %, calibration 0.5 %
     speed_noise_m_s: float = 0.05
     wheel_lag_s: float = 0.05  # initial value: half of a counting interval of 100 ms
     wheel_lag_sigma_s: float = 0.05
     wheel_lag_wander_s_sqrt_s: float = 5e-4  # clocks of control units drift against one another
     speed_dead_zone_m_s: float = 0.35
     yaw_rate_bias_sigma_rad_s: float = math.radians(0.05)
-    yaw_rate_bias_wander_rad_s_sqrt_s: float = math.radians(0.0005)
+    yaw_rate_bias_time_s: float = 20_000.0
+    yaw_rate_bias_bound_rad_s: float = math.radians(3.75)  # of an ESP sensor over life and temperature
     yaw_rate_noise_rad_s: float = math.radians(0.1)
     yaw_rate_scale_sigma: float = 0.002
+    yaw_rate_scale_bound: float = 0.04
     steering_bias_sigma_rad: float = math.radians(0.5)
-    steering_bias_wander_rad_sqrt_s: float = math.radians(0.005)
+    steering_bias_time_s: float = 20_000.0
+    steering_bias_bound_rad: float = math.radians(
+        1.5
+    )  # 24° of the steering wheel: no wheel alignment is so far off
     steering_noise_rad: float = math.radians(0.2)
     steering_scale_sigma: float = 0.02
+    steering_scale_bound: float = 0.1
     side_slip_sigma_rad_s2_m: float = 0.005
     lateral_noise_m_sqrt_m: float = 0.01
     noise_hold_s: float = 0.2
@@ -85,11 +93,13 @@ class MotionModel:
         """Return the σ of the sensor's gain, relative to the yaw rate."""
         return self.yaw_rate_scale_sigma if sensor == "yaw_rate" else self.steering_scale_sigma
 
-    def bias_wander(self, sensor: RateSensor) -> float:
-        """Return the random walk of that bias, per square root of a second."""
-        if sensor == "yaw_rate":
-            return self.yaw_rate_bias_wander_rad_s_sqrt_s
-        return self.steering_bias_wander_rad_sqrt_s
+    def gain_bound(self, sensor: RateSensor) -> float:
+        """Return the largest error of the sensor's gain, relative to the yaw rate."""
+        return self.yaw_rate_scale_bound if sensor == "yaw_rate" else self.steering_scale_bound
+
+    def bias_time_s(self, sensor: RateSensor) -> float:
+        """Return the correlation time of that bias."""
+        return self.yaw_rate_bias_time_s if sensor == "yaw_rate" else self.steering_bias_time_s
 
 
 class MotionStep(NamedTuple):

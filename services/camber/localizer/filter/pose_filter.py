@@ -43,6 +43,7 @@ from camber.localizer.filter.pose_estimate import Mode, PoseEstimate, Prediction
 from camber.localizer.filter.pose_initialization import PoseInitialization
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.scan_match_update import MatchUpdate, ScanMatches, late_noise
+from camber.localizer.filter.sensor_bounds import SensorBounds, SensorFault
 from camber.localizer.filter.source_conflict import SourceConflict
 from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag, RelativeTrack, TrackPoint
@@ -76,6 +77,8 @@ class PoseFilter:
         self._wheel_slip = WheelSlipDetector(self.state, self.model)
         self._matches = ScanMatches(self.state, self._wheel_slip, self.model)
         self._conflict = SourceConflict(self.model.holds_for_s)
+        self._bounds = SensorBounds(self.state, motion)
+        self._bounded_at_m = 0.0
         self._initialization = PoseInitialization(self.state, self._yaw_rates, self.model)
         self._provenance: Provenance = "none"
         self._last_sample: Motion | None = None
@@ -111,6 +114,11 @@ class PoseFilter:
         `restart_sigma_m`."""
         drifted = self.state.horizontal_sigma_m > self.model.restart_sigma_m
         return self.mode in ("none", "provisional") or drifted
+
+    @property
+    def sensor_fault(self) -> SensorFault | None:
+        """The sensor's error that has left its physical bound, while it lasts."""
+        return self._bounds.fault(self.time_ns)
 
     def estimate(self) -> PoseEstimate | None:
         """Return the present pose; None before the first motion sample and without a start."""
@@ -188,6 +196,7 @@ class PoseFilter:
             self._initialization.spread(self._track_now())
         elif self._provenance != "none":
             self._drop_lost_estimates()
+        self._bounds.enforce(sample.time_ns)
         return step.outcome
 
     def _learn_bias(self, step: MotionStep) -> None:
@@ -243,12 +252,14 @@ class PoseFilter:
             result = AnchorResult("accepted")
         else:
             provisional = self._provenance == "fixes"
+            before_m = self.state.x[:2].copy()
             held = not provisional and self._is_fresh(self._match_ns, self.model.holds_for_s)
             result = self._anchors.update(
                 time_ns, (east_m, north_m), noise, then=then, here=here, overrules=provisional, held=held
             )
             if held and self._anchors.is_persistent and result.innovation_m is not None:
                 self._conflict.report("anchors", result.innovation_m, now)
+            self._bound_sensors(now, before_m)
         if result.accepted:
             self._set_provenance("confirmed")
             self._conflict.resolve("anchors")
@@ -305,6 +316,17 @@ class PoseFilter:
             result = self._handle_persistent(match, here, result)
         return result
 
+    def _bound_sensors(self, now_ns: int, before_m: Floats) -> None:
+        """Keep the sensors' errors within their bounds; anchors that pull them out contradict odometry."""
+        x, path_m = self.state.x, self.travelled_m - self._bounded_at_m
+        by_scale = rotated(float(x[YAW]), float(x[SCALE]) * path_m, 0.0)
+        self._bounded_at_m = self.travelled_m
+        self._bounds.note_move(now_ns, x[:2] - before_m + by_scale)
+        self._bounds.enforce(now_ns)
+        if self._bounds.fault(now_ns) is not None:
+            east_m, north_m = self._bounds.departure_m.tolist()
+            self._conflict.report("odometry", (east_m, north_m), now_ns)
+
     def motion_share(self, overlay_lag: OverlayLag, yaw_rad: float) -> Floats:
         """Return the covariance (3, 3) of a match by the wheels' unknown errors over the overlay's lag."""
         return self._matches.motion_share(overlay_lag, yaw_rad)
@@ -354,6 +376,7 @@ class PoseFilter:
         self._initialization.at_past_pose(match._replace(covariance=match.covariance + added), here)
         self._anchors.forget()
         self._conflict.forget()
+        self._bounds.forget()
         self._wheel_slip.forget()
         self._matches.forget()
         self._matches.accept(match)
@@ -408,6 +431,7 @@ class PoseFilter:
         self._anchor_ns = self._match_ns = self._position_match_ns = None
         self._anchors.forget()
         self._conflict.forget()
+        self._bounds.forget()
         self._link.forget()
 
     def _set_provenance(self, provenance: Provenance) -> None:

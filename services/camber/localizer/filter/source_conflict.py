@@ -1,6 +1,6 @@
 """Conflict between two sources that hold the pose.
 
-Anchors and scan matches are independent. Where the source that the pose follows is fresh and the other keeps
+Anchors, scan matches and odometry are independent. Where the source that the pose follows is fresh and the other keeps
 contradicting it, nothing shows which of them is right: the pose stays, and its covariance grows to the second
 moment of both being equally likely, half of the offset's square about the pose. The conflict lasts until the
 contradicting source agrees, is silent, or is believed because the other one is silent.
@@ -14,7 +14,7 @@ import numpy as np
 
 from camber.localizer.arrays import Floats
 
-ConflictSource: TypeAlias = Literal["anchors", "matches"]
+ConflictSource: TypeAlias = Literal["anchors", "matches", "odometry"]
 
 
 class SourceConflict:
