@@ -7,7 +7,7 @@ import re
 import pytest
 
 from camber.gnss.position.rtk_engine import REASON
-from camber.localizer.localization import GivenPose
+from camber.localizer.given_pose import GivenPose
 from support.tree import ROOT
 
 PAGES = ("gnss", "antenna_height", "localizer", "integrity", "sensors")

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from camber.localizer.localization import GivenPose, Localization, LocalizationOptions
+from camber.localizer.given_pose import GivenPose
+from camber.localizer.localization import Localization, LocalizationOptions
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.warm_up import SyntheticMap, synthetic_street

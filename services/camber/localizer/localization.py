@@ -6,13 +6,11 @@ support it. The map is queried through `MapQueries`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from camber.geodesy.se3 import lever_arm_enu
 from camber.localizer.arrays import Floats
@@ -20,7 +18,10 @@ from camber.localizer.filter.planar_pose import covariance_at_offset, rotated
 from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
+from camber.localizer.filter.start_from_fixes import StartFromFixes
+from camber.localizer.given_pose import GivenPose
+from camber.localizer.horizontal_basis import horizontal_basis
+from camber.localizer.independent_localization import IndependentLocalization, RepeatedLinksQuery
 from camber.localizer.links.link_cache import LinkCache
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
@@ -31,22 +32,9 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
-from camber.schemas.pose import Pose, Road, ScanMatch
+from camber.schemas.pose import IndependentPosition, Pose, Road, ScanMatch
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
-
-
-class GivenPose(BaseModel):
-    """Where the antenna is at the start, known without satellites: a parking place, an operator."""
-
-    model_config = ConfigDict(extra="forbid")
-    latitude_deg: float = Field(ge=-90.0, le=90.0, description="latitude of the antenna")
-    longitude_deg: float = Field(ge=-180.0, le=180.0, description="longitude of the antenna")
-    yaw_deg: float = Field(
-        ge=-360.0, le=360.0, description="direction of the vehicle's x, counter-clockwise from east"
-    )
-    horizontal_sigma_m: float = Field(gt=0.0, le=1000.0, description="σ in east and in north")
-    yaw_sigma_deg: float = Field(gt=0.0, le=180.0, description="σ of yaw_deg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +62,7 @@ class Localization:
     def __init__(
         self, options: LocalizationOptions, map_queries: MapQueries, diagnostics: Diagnostics
     ) -> None:
-        model = options.model
+        model, map_queries = options.model, RepeatedLinksQuery(map_queries)
         self._diagnostics = diagnostics
         self._lever_m = (model.antenna_x_m, model.antenna_y_m, options.antenna_z_m)
         self._filter = PoseFilter(model)
@@ -82,11 +70,18 @@ class Localization:
         self._given = options.given
         self._plane: LocalPlane | None = None
         self._links = LinkCache(options.links_radius_m, map_queries, diagnostics)
+        self.independent = IndependentLocalization(
+            model, self._lever_m, map_queries, links_radius_m=options.links_radius_m
+        )
+        """The position in which no fix has a part."""
         self._road = RoadBelowAntenna(options.road_sigma_limit_m, map_queries, diagnostics)
         self.matcher: ScanMatcher | None = None
         """The scan matcher, for pictures of its matches; None where sweeps are not used."""
         if options.matching is not None:
-            self.matcher = ScanMatcher(options.matching, self._filter, map_queries, diagnostics)
+            self.matcher = ScanMatcher(
+                options.matching, self._filter, map_queries, diagnostics, independent=self.independent
+            )
+        self._given_at_m = 0.0  # path driven when the given pose was used
         self._published_ns = 0
         self._sensor_fault_reported = False
 
@@ -101,12 +96,14 @@ class Localization:
         if outcome in ("repeated", "backwards"):
             self._diagnostics.issue(f"motion_{outcome}", f"sample at {motion.time_ns} ns")
             return False
+        self.independent.predict(motion)
         if self.matcher is not None:
             self.matcher.set_attitude(motion.roll_rad, motion.pitch_rad)
         given, self._given = self._given, None
         if given is not None:
-            self._start_from_given(given, motion.time_ns)
+            self._start_from_given(given, motion)
         self._couple_links(motion.time_ns)
+        self.independent.couple_links(motion.time_ns)
         return given is not None
 
     def on_fix(self, fix: Fix) -> None:
@@ -139,6 +136,7 @@ class Localization:
     def on_sweep(self, sweep: Sweep) -> None:
         """Queue a sweep; it is matched once the motion up to its end is known."""
         if self.matcher is not None:
+            self.independent.active = True
             self.matcher.add_sweep(sweep)
 
     def advance(self) -> LocalizationOutput:
@@ -162,8 +160,14 @@ class Localization:
             estimate = self._move_plane_if_far(estimate, self._plane)
         if estimate is None or self._plane is None:
             road = Road(status="unknown", reason="no_pose")
-            reason = "not started: no given pose, and no fixes in a row that agree with the motion"
-            return Pose(time_ns=time_ns, mode="none", provenance="none", reason=reason, road=road)
+            return Pose(
+                time_ns=time_ns,
+                mode="none",
+                provenance="none",
+                reason="not started: no given pose, and no fixes in a row that agree with the motion",
+                independent=self._independent_position(time_ns),
+                road=road,
+            )
         plane, yaw_rad, link_id = self._plane, estimate.yaw_rad, estimate.link.link_id
         roll_rad, pitch_rad = self._attitude(estimate.time_ns, yaw_rad)
         east_m, north_m, _ = lever_arm_enu(roll_rad, pitch_rad, yaw_rad, self._lever_m)
@@ -171,6 +175,7 @@ class Localization:
         latitude_rad, longitude_rad = plane.geodetic(estimate.east_m + east_m, estimate.north_m + north_m)
         road = self._road.update(estimate, latitude_rad, longitude_rad)
         self._links.note_map_version(road.map_version)
+        self.independent.note_map_version(road.map_version)
         if self.matcher is not None:
             self.matcher.note_map_version(road.map_version)
         return Pose(
@@ -190,8 +195,16 @@ class Localization:
             anchor_time_ns=estimate.anchor_time_ns,
             motion_time_ns=estimate.time_ns,
             match_time_ns=estimate.match_time_ns,
+            horizontal_basis=horizontal_basis(
+                estimate, since_given_m=self._filter.travelled_m - self._given_at_m
+            ),
+            independent=self._independent_position(time_ns),
             road=road,
         )
+
+    def _independent_position(self, time_ns: int) -> IndependentPosition | None:
+        attitude = None if self.matcher is None else self.matcher.independent_attitude(time_ns)
+        return self.independent.message(attitude)
 
     def _reasons(self, estimate: PoseEstimate) -> Iterator[str]:
         """Yield what degrades the pose, for an operator."""
@@ -285,22 +298,10 @@ class Localization:
         self._links.forget()
         return self._filter.estimate()
 
-    def _start_from_given(self, given: GivenPose, time_ns: int) -> None:
+    def _start_from_given(self, given: GivenPose, motion: Motion) -> None:
         """Start from the given pose, in a plane around it, whatever plane earlier fixes have led to."""
-        latitude_rad, longitude_rad = math.radians(given.latitude_deg), math.radians(given.longitude_deg)
-        yaw_rad, yaw_sigma_rad = math.radians(given.yaw_deg), math.radians(given.yaw_sigma_deg)
-        plane = self._set_plane(LocalPlane(latitude_rad, longitude_rad))
-        east_m, north_m = plane.east_north(latitude_rad, longitude_rad)
-        lever = rotated(yaw_rad, self._lever_m[0], self._lever_m[1])
-        position_var = given.horizontal_sigma_m**2
-        at_antenna = np.diag([position_var, position_var, yaw_sigma_rad**2])
-        self._filter.start(
-            StartPose(
-                time_ns=time_ns,
-                east_m=east_m - lever[0],
-                north_m=north_m - lever[1],
-                yaw_rad=yaw_rad,
-                covariance=covariance_at_offset(at_antenna, -lever[0], -lever[1]),
-                provenance="given",
-            )
-        )
+        plane = self._set_plane(given.plane())
+        start = given.start_pose(motion.time_ns, plane, self._lever_m[:2])
+        self._filter.start(start)
+        self._given_at_m = self._filter.travelled_m
+        self.independent.start(start, given.plane(), motion)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from camber.localizer.localization import GivenPose, Localization
+from camber.localizer.given_pose import GivenPose
+from camber.localizer.localization import Localization
 from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.settings import LocalizerSettings
 from camber.localizer.warm_up import warm_up

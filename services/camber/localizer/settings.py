@@ -10,7 +10,8 @@ from pydantic import Field, field_validator
 
 from camber.localizer.filter.odometry import MotionModel, RateSensor
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.localization import GivenPose, LocalizationOptions
+from camber.localizer.given_pose import GivenPose
+from camber.localizer.localization import LocalizationOptions
 from camber.localizer.matching.ground_alignment import RoadBy
 from camber.localizer.matching.layered_matching import LayerChoice, MatchOptions
 from camber.localizer.matching.registration import Method

@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.localization import GivenPose, Localization, LocalizationOptions, LocalizationOutput
+from camber.localizer.given_pose import GivenPose
+from camber.localizer.localization import Localization, LocalizationOptions, LocalizationOutput
 from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount

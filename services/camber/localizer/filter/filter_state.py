@@ -36,13 +36,15 @@ _AGING: Final = np.arange(DEVIATION, N_STATES)
 
 
 class FilterState:
-    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning`), the states named here, then those
-    of `link_offset_memory`."""
+    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning`), the states named here, `extra`
+    ones (zero and certain until their user sets them), then those of `link_offset_memory`."""
 
-    def __init__(self, model: PoseModel) -> None:
+    def __init__(self, model: PoseModel, extra_states: int = 0) -> None:
         motion = model.motion
-        self.x: Floats = np.zeros(N_STATES)
-        self.p: Floats = np.zeros((N_STATES, N_STATES))
+        self.extra = slice(N_STATES, N_STATES + extra_states)
+        """Indices of the extra states."""
+        self.x: Floats = np.zeros(self.extra.stop)
+        self.p: Floats = np.zeros((self.extra.stop, self.extra.stop))
         self.sensors_learn = True
         """Whether observations of the pose update the sensors' errors too."""
         sigma_a, sigma_b = motion.bias_sigma(motion.a_rate_sensor), motion.bias_sigma(motion.b_rate_sensor)

@@ -61,7 +61,7 @@ _RECOVERY_SHARE = 0.01  # chosen: (a tenth)² of the offset from a pose that was
 class PoseFilter:
     """Estimates one vehicle's pose. Call `predict` with every motion sample, the updates as they come."""
 
-    def __init__(self, model: PoseModel | None = None) -> None:
+    def __init__(self, model: PoseModel | None = None, *, extra_states: int = 0) -> None:
         self.model = model or PoseModel()
         motion = self.model.motion
         self._gyro = BIAS_A if motion.a_rate_sensor == "yaw_rate" else BIAS_B
@@ -70,7 +70,7 @@ class PoseFilter:
         """The dead-reckoned track in a frame of its own."""
         self.travelled_m = 0.0
         """Path length since the beginning."""
-        self.state = FilterState(self.model)
+        self.state = FilterState(self.model, extra_states)
         self._yaw_rates = YawRateCoupling(self.state, self.model)
         self._link = LinkCoupling(self.state, self.model)
         self._anchors = Anchors(self.state, self.model)
@@ -107,6 +107,11 @@ class PoseFilter:
             return "scan_match"
         fresh = self._is_fresh(self._anchor_ns, self.model.anchored_for_s)
         return "anchored" if fresh and self._provenance == "confirmed" else "dead_reckoning"
+
+    @property
+    def wheel_slip_suspected(self) -> bool:
+        """Whether the wheels do not show the vehicle's speed."""
+        return self._wheel_slip.active
 
     @property
     def accepts_fixes(self) -> bool:
@@ -277,18 +282,21 @@ class PoseFilter:
         *,
         unique: bool,
         overlay_lag: OverlayLag = _NO_LAG,
+        restart: bool = False,
     ) -> MatchUpdate:
         """Update by a scan match: east, north, yaw of the vehicle's reference point at `time_ns`, covariance (3, 3).
 
         The covariance is without the share of the motion (`motion_share`), and large along what the scene leaves open.
         `unique`: a search has excluded other positions. A match may be late by `match_max_age_s`. A provisional pose
-        is not updated: it restarts from unique matches that agree. ValueError names what is not finite.
+        is not updated: it restarts from unique matches that agree. So does any pose with `restart`, for matches that
+        were not searched around it, where it may be there by its covariance; and where there is none, it starts.
+        ValueError names what is not finite.
         """
         east_m, north_m, yaw_rad = (float(value) for value in pose)
         require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad)
         require_covariance("covariance", covariance, 3)
         now, here, then = self.time_ns, self._track_now(), self.track.at(time_ns)
-        if now is None or self._provenance == "none" or here is None:
+        if now is None or here is None or (self._provenance == "none" and not restart):
             return MatchUpdate("no_pose")
         if then is None and time_ns > now:
             return MatchUpdate("ahead")
@@ -304,8 +312,8 @@ class PoseFilter:
             track=then,
             overlay_lag=overlay_lag,
         )
-        if self._provenance == "fixes":
-            return self._replace_provisional(match, here, unique=unique)
+        if restart or self._provenance == "fixes":
+            return self._restart_from(match, here, unique=unique)
         if not self._initialization.heading_known:
             return self._determine_heading(match, here, unique=unique)
         result = self._matches.update(match, here, unique=unique)
@@ -331,9 +339,13 @@ class PoseFilter:
         """Return the covariance (3, 3) of a match by the wheels' unknown errors over the overlay's lag."""
         return self._matches.motion_share(overlay_lag, yaw_rad)
 
-    def _replace_provisional(self, match: MatchedPose, here: TrackPoint, *, unique: bool) -> MatchUpdate:
-        """Replace a pose that rests on fixes alone, once matches agree over a distance or a time."""
+    def _restart_from(self, match: MatchedPose, here: TrackPoint, *, unique: bool) -> MatchUpdate:
+        """Replace the pose, once matches agree over a distance or a time; one by other evidence than fixes only where
+        it may be so far off."""
         model, sequence = self.model, self._matches.sequence
+        known = self._provenance not in ("none", "fixes") and self._initialization.heading_known
+        if known and not self._matches.is_within_gate(match, here):
+            return MatchUpdate("outside_gate")
         sequence.add(match, unique=unique)
         enough = sequence.path_m >= model.support_after_m or sequence.duration_s >= model.support_after_s
         if not unique or sequence.count < model.support_after_matches or not enough:

@@ -134,6 +134,10 @@ class ScanMatches:
         noise = observation.noise + np.diag([drift**2, drift**2, model.unmodelled_turn_rad**2])
         return observation._replace(noise=noise).nis(self._state.p) <= model.match_gate
 
+    def is_within_gate(self, match: MatchedPose, here: TrackPoint) -> bool:
+        """Whether the pose may be at a match, by its covariance alone."""
+        return self._observation(match, here).nis(self._state.p) <= self._model.match_gate
+
     def floored(self, covariance: Floats) -> Floats:
         """Return the covariance (3, 3) of a match plus the floor."""
         model = self._model

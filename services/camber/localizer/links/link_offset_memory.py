@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from camber.localizer.filter.filter_state import DEVIATION, N_STATES, FilterState
+from camber.localizer.filter.filter_state import DEVIATION, FilterState
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_matching import LinkId, LinkMatch
 
@@ -31,13 +31,14 @@ class LinkOffsetMemory:
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
+        self._first = state.extra.stop
         self._kept: list[_KeptDeviation] = []
         self._here: _LinkCell | None = None
 
     def forget(self) -> None:
         """Delete all kept deviations: the pose is another one."""
         self._kept, self._here = [], None
-        self._state.keep_first(N_STATES)
+        self._state.keep_first(self._first)
 
     def recall(self, match: LinkMatch, along_sigma_m: float) -> None:
         """Before a coupling: where a deviation was kept, make it the present one, plus variance for the distance
@@ -45,7 +46,7 @@ class LinkOffsetMemory:
         cell = self._cell(match)
         if cell is None or cell == self._here:
             return
-        for index, kept in enumerate(self._kept, N_STATES):
+        for index, kept in enumerate(self._kept, self._first):
             if kept.cell == cell:
                 self._here = cell
                 state = self._state
@@ -65,7 +66,7 @@ class LinkOffsetMemory:
         self._here = cell
         if len(self._kept) == self._model.memory_cells:
             del self._kept[0]
-            self._state.drop(N_STATES)
+            self._state.drop(self._first)
         self._kept.append(_KeptDeviation(cell, match.station_m, match.forward))
         self._state.append_clone(DEVIATION)
 

@@ -4,6 +4,10 @@ the pose.
 A sweep waits until the motion up to its end is known. A match updates the pose through the filter's gate only.
 Where the prediction is too uncertain, after several matches that were lost or rejected, and while the pose rests on
 fixes alone, a coarse search looks for the position and for rivals of it.
+
+The track of the independent position deskews and overlays, and while that position is certain it also predicts:
+then no fix has a part in a match. Otherwise sweeps are matched around the pose, for the pose alone, and now and then a
+search looks for the independent position, around it or, where it is lost, around the pose.
 """
 
 from __future__ import annotations
@@ -11,16 +15,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
-from camber.localizer.arrays import Floats, Mask
-from camber.localizer.filter.pose_estimate import Prediction
+from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
 from camber.localizer.filter.pose_filter import PoseFilter
-from camber.localizer.filter.track import OverlayLag
+from camber.localizer.filter.scan_match_update import MatchUpdate
+from camber.localizer.independent_localization import IndependentLocalization
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_clouds.map_blocks import MapBlock, MapBlockOptions
 from camber.localizer.map_clouds.tile_loading import CloudTileLoader
@@ -28,15 +30,13 @@ from camber.localizer.map_queries import Diagnostics, MapQueries
 from camber.localizer.matching.coarse_search import (
     FULL_RANGE,
     SearchRange,
-    SearchResult,
     search,
     seems_mirrored,
 )
 from camber.localizer.matching.deskewing import SweepOptions
 from camber.localizer.matching.ground_alignment import (
-    GroundAlignment,
-    PlanarPose,
     RoadBy,
+    SensorHeights,
     align_to_road,
     measure_sensor_heights,
 )
@@ -48,10 +48,11 @@ from camber.localizer.matching.layered_matching import (
     match_layers,
 )
 from camber.localizer.matching.local_map import LEVEL, LocalMap
-from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M
+from camber.localizer.matching.match_candidate import MatchCandidate, MatchPlace
+from camber.localizer.matching.match_guide import SEARCH_PAUSE_NS, CertaintyLimits, MatchGuide
 from camber.localizer.matching.match_view import MatchView, match_view
 from camber.localizer.matching.scan_match_message import scan_match_message
-from camber.localizer.matching.shift_profile import log_likelihoods, shift_profile
+from camber.localizer.matching.structure_likelihood import outweighs_rivals, with_shift_variance
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
     SensorMount,
@@ -63,29 +64,24 @@ from camber.schemas.pose import Road, ScanMatch
 
 _MAX_QUEUED: Final = 3  # chosen: of sweeps; a later one replaces the oldest
 _MOTION_WAIT_NS: Final = 300_000_000  # chosen: how long a sweep waits for the motion of its end
-_HEIGHT_VALID_M: Final = 30.0  # chosen: distance over which a matched road height identifies the deck
-_ATTITUDE_VALID_NS: Final = 300_000_000  # chosen: three sweeps of a LiDAR at 10 Hz
-_SEARCH_PAUSE_NS: Final = 1_000_000_000  # chosen: a search costs several matches
-_SEARCH_AFTER: Final = 3  # chosen: consecutive matches that were lost or rejected
+_LONGEST_PAUSE_NS: Final = (
+    8 * SEARCH_PAUSE_NS
+)  # chosen: 20 to 100 m of street between searches that find nothing
 _MIRRORED_AFTER: Final = 50  # chosen: consecutive failures between two tests for a mirrored sensor
 _MISPLACED_AFTER: Final = 10  # chosen: consecutive sweeps; a crest or a kerb makes one look misplaced
-_SIGMAS: Final = 3.0  # chosen: 99.7 % of a normal error
 _AHEAD_S: Final = 3.0  # chosen: a block is built in less time
-STRUCTURE_M: Final = (0.3, 3.0)
-"""Chosen: heights between which the local map is compared with the static structure: the bounds of the layers."""
 # Chosen: σ added where only objects fit that may have moved.
 _MOVABLE_SIGMA_M: Final = 0.3
 _MOVABLE_SIGMA_RAD: Final = math.radians(0.5)
-_RIVAL_LOG_RATIO: Final = math.log(1.0e6)
-"""Chosen: a rival that the static structure makes so much less likely is none."""
+_USED: Final = ("accepted", "recovered", "supported")
+"""Outcomes of a match that has updated the pose."""
 _USABLE_IF_AMBIGUOUS: Final = ("direction_unseen", "layers_disagree", "not_unique", "low_things")
 """Ambiguous for reasons that the covariance covers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanMatchOptions:
-    """Parameters of scan matching. A prediction whose 3 σ exceeds `sure_m` or `sure_rad` is searched around; one
-    whose σ exceeds `max_sigma_m` is not matched."""
+    """Parameters of scan matching."""
 
     mount: SensorMount = field(default_factory=SensorMount)
     sweep: SweepOptions = field(default_factory=SweepOptions)
@@ -93,9 +89,7 @@ class ScanMatchOptions:
     blocks: MapBlockOptions = field(default_factory=MapBlockOptions)
     sweeps: int = 10
     road_by: RoadBy = "surface"
-    sure_m: float = 1.0
-    sure_rad: float = math.radians(5.0)
-    max_sigma_m: float = 5.0
+    limits: CertaintyLimits = field(default_factory=CertaintyLimits)
 
 
 class ScanMatcherOutput(NamedTuple):
@@ -105,61 +99,32 @@ class ScanMatcherOutput(NamedTuple):
     jumped: bool
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _MatchPlace:
-    """Where a sweep is matched: the prediction in the plane, and the block."""
-
-    prediction: Prediction
-    plane: LocalPlane
-    block: MapBlock
-
-    @property
-    def pose(self) -> PlanarPose:
-        """The predicted pose in the block's frame."""
-        return PlanarPose(*self._in_block(0.0), self.prediction.yaw_rad - self.convergence_rad)
-
-    @cached_property
-    def convergence_rad(self) -> float:
-        """Angle of the block's east from the plane's at the vehicle."""
-        here, east = self._in_block(0.0), self._in_block(10.0)
-        return -math.atan2(east[1] - here[1], east[0] - here[0])
-
-    def _in_block(self, further_east_m: float) -> tuple[float, float]:
-        east_m = self.prediction.east_m + further_east_m
-        return self.block.east_north(*self.plane.geodetic(east_m, self.prediction.north_m))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _MatchCandidate:
-    """A match before the filter's gate, its input and alignment, and whether a search has excluded rivals."""
-
-    time_ns: int
-    match: LayeredMatch
-    scan: MatchInput
-    alignment: GroundAlignment
-    unique: bool
-    lag: OverlayLag
-    block: MapBlock
-
-
 class ScanMatcher:
     """Matches one sensor's sweeps. Call `process` after all inputs of one time."""
 
     def __init__(
-        self, options: ScanMatchOptions, pose: PoseFilter, map_queries: MapQueries, diagnostics: Diagnostics
+        self,
+        options: ScanMatchOptions,
+        pose: PoseFilter,
+        map_queries: MapQueries,
+        diagnostics: Diagnostics,
+        *,
+        independent: IndependentLocalization | None = None,
     ) -> None:
         self._options, self._filter, self._diagnostics = options, pose, diagnostics
+        self._pose_guide = MatchGuide(pose=pose, limits=options.limits)
+        self._independent = independent
+        self._independent_guide: MatchGuide | None = None
+        if independent is not None:
+            self._independent_guide = MatchGuide(pose=independent.position.filter, limits=options.limits)
+        self._pause_ns = SEARCH_PAUSE_NS  # until the next search for the independent position
         self._tiles = CloudTileLoader(options.blocks, map_queries, diagnostics)
         self._local_map = LocalMap(options.sweeps)
         self._queue: deque[Sweep] = deque()
         self._measured_tilt: tuple[float, float] | None = None  # roll and pitch by a sensor
-        self._matched_attitude: tuple[int, float, float] | None = None  # time; roll and pitch by a match
-        self._road_height: tuple[float, float] | None = None  # ellipsoidal, and the path driven then
         self._last_sweep_ns: int | None = None
-        self._searched_ns = -_SEARCH_PAUSE_NS
-        self._consecutive_failures = 0
         self._consecutive_misplaced = 0
-        self._last: _MatchCandidate | None = None
+        self._last: MatchCandidate | None = None
         self.reason = ""
 
     def add_sweep(self, sweep: Sweep) -> None:
@@ -179,14 +144,15 @@ class ScanMatcher:
 
     def reset_road_height(self) -> None:
         """Forget the road's height: the pose has jumped, the deck may be another one."""
-        self._road_height = None
+        self._pose_guide.forget_road_height()
 
     def attitude(self, time_ns: int) -> tuple[float, float] | None:
-        """Return roll and pitch of a recent match."""
-        matched = self._matched_attitude
-        if matched is None or not 0 <= time_ns - matched[0] <= _ATTITUDE_VALID_NS:
-            return None
-        return matched[1:]
+        """Return roll and pitch of a recent match that the pose follows."""
+        return self._pose_guide.attitude(time_ns)
+
+    def independent_attitude(self, time_ns: int) -> tuple[float, float] | None:
+        """Return roll and pitch of a recent match that the independent position follows."""
+        return None if self._independent_guide is None else self._independent_guide.attitude(time_ns)
 
     @property
     def last_view(self) -> MatchView | None:
@@ -194,7 +160,7 @@ class ScanMatcher:
         last = self._last
         if last is None:
             return None
-        return match_view(last.time_ns, last.scan, last.block, last.match, options=self._options.match)
+        return match_view(last.time_ns, last.scan, last.place.block, last.match, options=self._options.match)
 
     def process(self, plane: LocalPlane | None, road: Road) -> ScanMatcherOutput:
         """Match the sweeps whose motion is known; `road` is the one below the last pose."""
@@ -217,23 +183,33 @@ class ScanMatcher:
         if not sweep.usable or sweep.at is None:
             return self._lost(raw.time_ns, f"sweep: {sweep.problem or 'no_motion'}")
         ground = self._overlay(sweep)
-        place = self._locate(raw.time_ns, now_ns, plane)
+        guide, guides_plane = self._guide(raw.time_ns, plane)
+        place = self._locate(guide, guides_plane, raw.time_ns, now_ns)
         if isinstance(place, str):
+            self._seek_independent(sweep, None, plane, road)
             return self._lost(raw.time_ns, place)
-        near_m = self._road_height_m(road)
-        if near_m is None:
-            return self._lost(raw.time_ns, "which road it is, is not known")
-        candidate = self._match(sweep.time_ns, place, near_m - place.block.base_height_m)
+        candidate = self._match(sweep.time_ns, place, road)
+        if not isinstance(candidate, str):
+            self._last = candidate
         self._build_ahead(place)
-        if candidate is None:
-            return self._lost(raw.time_ns, "map: no road here")
-        return self._apply_match(sweep, ground, candidate, place)
+        if guide is self._pose_guide:
+            self._seek_independent(sweep, None if isinstance(candidate, str) else candidate, plane, road)
+        if isinstance(candidate, str):
+            return self._lost(raw.time_ns, candidate)
+        return self._apply_match(sweep, ground, candidate, plane)
+
+    def _guide(self, time_ns: int, plane: LocalPlane | None) -> tuple[MatchGuide, LocalPlane | None]:
+        """Return the pose that predicts a sweep, and its plane: the independent one where it is certain."""
+        independent, guide = self._independent, self._independent_guide
+        if independent is None or guide is None or not guide.is_certain(time_ns):
+            return self._pose_guide, plane
+        return guide, independent.plane
 
     def _deskew(self, raw: Sweep, now_ns: int) -> PreparedSweep:
         sweep = prepare_sweep(
             raw,
             self._options.mount,
-            self._filter.track,
+            self._motion.track,
             now_ns=now_ns,
             last_time_ns=self._last_sweep_ns,
             options=self._options.sweep,
@@ -247,38 +223,36 @@ class ScanMatcher:
     def _overlay(self, sweep: PreparedSweep) -> GroundPlane | None:
         """Add a sweep to the local map; return its ground. Not accumulated over suspected wheel slip."""
         assert sweep.at is not None
-        estimate = self._filter.estimate()
-        if estimate is not None and estimate.wheel_slip_suspected:
+        if self._motion.wheel_slip_suspected:
             self._local_map.reset()
         ground = ground_plane(sweep.points_m, self._options.mount)
         tilt = ground.tilt if ground is not None else LEVEL
         self._local_map.add(sweep, sweep.at, self._measured_tilt, road_tilt=tilt)
         return ground
 
-    def _locate(self, time_ns: int, now_ns: int, plane: LocalPlane | None) -> _MatchPlace | str:
+    @property
+    def _motion(self) -> PoseFilter:
+        """Whose track deskews and overlays: one that no fix has calibrated, where there is one."""
+        independent = self._independent
+        return self._filter if independent is None or not independent.active else independent.position.filter
+
+    def _locate(
+        self, guide: MatchGuide, plane: LocalPlane | None, time_ns: int, now_ns: int
+    ) -> MatchPlace | str:
         """Return where to match, or the reason why not."""
-        prediction = self._filter.prediction_at(time_ns)
-        if prediction is None or plane is None:
+        prediction = guide.prediction(time_ns)
+        if isinstance(prediction, str):
+            return prediction
+        if plane is None:
             return "no pose to begin from"
-        if not prediction.yaw_known:
-            return "the heading is not known"
-        if prediction.position_sigma_m > self._options.max_sigma_m:
-            return "the pose is too uncertain"
         block = self._tiles.block_at(*plane.geodetic(prediction.east_m, prediction.north_m), now_ns)
         if block is None:
             return f"map: {self._tiles.reason}"
-        return _MatchPlace(prediction=prediction, plane=plane, block=block)
+        return MatchPlace(guide=guide, prediction=prediction, plane=plane, block=block)
 
-    def _road_height_m(self, road: Road) -> float | None:
-        """Return the ellipsoidal height of the driven road, by the last match or by the road of the links."""
-        height = self._road_height
-        if height is not None and abs(self._filter.travelled_m - height[1]) < _HEIGHT_VALID_M:
-            return height[0]
-        return road.elevation_m
-
-    def _build_ahead(self, place: _MatchPlace) -> None:
+    def _build_ahead(self, place: MatchPlace) -> None:
         """Do a step of building the block ahead, so that no border costs half a second."""
-        estimate, prediction = self._filter.estimate(), place.prediction
+        estimate, prediction = place.guide.pose.estimate(), place.prediction
         if estimate is None or not estimate.speed_m_s:
             return
         ahead_m = _AHEAD_S * estimate.speed_m_s
@@ -288,54 +262,60 @@ class ScanMatcher:
         )
         self._tiles.build_ahead(*ahead, self._options.match.bounds_m)
 
-    def _match(self, time_ns: int, place: _MatchPlace, near_m: float) -> _MatchCandidate | None:
-        """Align the local map to the road and match its layers; None where the map has no road."""
+    def _match(
+        self, time_ns: int, place: MatchPlace, road: Road, *, reach: SearchRange | None = None
+    ) -> MatchCandidate | str:
+        """Align the local map to the road and match its layers, with a search within `reach` or where one is due;
+        return the reason where the road is not known."""
         local, block, options = self._local_map.overlay(), place.block, self._options.match
         assert local is not None, "a sweep has just been added"
+        road_m = place.guide.road_height_m(road)
+        if road_m is None:
+            return "which road it is, is not known"
+        near_m = road_m - block.base_height_m
         alignment = align_to_road(local.points_m, block, place.pose, near_m=near_m, by=self._options.road_by)
         if alignment is None:
-            return None
+            return "map: no road here"
         scan = MatchInput(
             points_m=local.points_m,
             heights_m=alignment.heights_m,
             targets=block.layers(options.bounds_m),
             guess=alignment.map_from_local,
         )
-        reach = self._search_range(place.prediction, time_ns)
-        match, unique = self._register(scan, block, place.prediction, reach)
+        reach = reach or place.guide.search_range(place.prediction, time_ns)
+        match, unique = self._register(scan, place, reach)
         if match.status == "lost":
             match, unique = self._match_movable(scan, block, reach)
         else:
-            match = _with_shift_variance(match, scan, block)
-        self._last = _MatchCandidate(
+            match = with_shift_variance(match, scan, block)
+        if reach is not None:
+            place.guide.searched_ns = time_ns
+        return MatchCandidate(
             time_ns=time_ns,
             match=match,
             scan=scan,
             alignment=alignment,
             unique=unique,
             lag=local.lag,
-            block=block,
+            place=place,
         )
-        if reach is not None:
-            self._searched_ns = time_ns
-        return self._last
 
     def _register(
-        self, scan: MatchInput, block: MapBlock, prediction: Prediction, reach: SearchRange | None
+        self, scan: MatchInput, place: MatchPlace, reach: SearchRange | None
     ) -> tuple[LayeredMatch, bool]:
         """Match the layers, by a search where one is due; return whether the match is unique too."""
         options = self._options.match
         if reach is None:
             match = match_layers(scan, options)
-            if match.status != "lost" and self._is_uncertain(prediction):
+            if match.status != "lost" and place.guide.is_uncertain(place.prediction):
                 # Between two searches rivals are not known.
                 match = replace(match, status="ambiguous", reason="not_searched")
             return match, False
         result = search(scan, options, reach)
         match, unique = result.match, result.unique and result.match.status != "lost"
-        if result.rivals and _outweighs_rivals(result, scan, block):
+        if result.rivals and outweighs_rivals(result, scan, place.block):
             match, unique = result.best, True
-        failures = self._consecutive_failures
+        failures = place.guide.consecutive_failures
         if failures and failures % _MIRRORED_AFTER == 0 and seems_mirrored(scan, options):
             self._diagnostics.issue("sensor_mirrored", "sweeps fit the map with left and right exchanged")
         return match, unique
@@ -354,29 +334,15 @@ class ScanMatcher:
         match = replace(match, status="ambiguous", reason="low_things", covariance=match.covariance + added)
         return match, result is not None and result.unique
 
-    def _is_uncertain(self, prediction: Prediction) -> bool:
-        wide = _SIGMAS * prediction.position_sigma_m > self._options.sure_m
-        return wide or _SIGMAS * prediction.yaw_sigma_rad > self._options.sure_rad
-
-    def _search_range(self, prediction: Prediction, time_ns: int) -> SearchRange | None:
-        """Return how far to search; None: no search is due."""
-        lost = self._consecutive_failures >= _SEARCH_AFTER or self._filter.mode == "provisional"
-        if not lost and not self._is_uncertain(prediction):
-            return None
-        if 0 <= time_ns - self._searched_ns < _SEARCH_PAUSE_NS:
-            return None
-        if lost:
-            return FULL_RANGE
-        return SearchRange(
-            m=min(_SIGMAS * prediction.position_sigma_m + self._options.sure_m, FULL_RANGE.m),
-            rad=min(_SIGMAS * prediction.yaw_sigma_rad + self._options.sure_rad, FULL_RANGE.rad),
-        )
-
     def _apply_match(
-        self, sweep: PreparedSweep, ground: GroundPlane | None, candidate: _MatchCandidate, place: _MatchPlace
+        self,
+        sweep: PreparedSweep,
+        ground: GroundPlane | None,
+        candidate: MatchCandidate,
+        plane: LocalPlane | None,
     ) -> tuple[ScanMatch, bool]:
         """Update the pose by a match; return its message, and whether the pose has jumped."""
-        match, block, mount = candidate.match, candidate.block, self._options.mount
+        match, block, mount = candidate.match, candidate.place.block, self._options.mount
         heights = measure_sensor_heights(
             sweep.points_m, ground, mount, matched=match.map_from_local, block=block
         )
@@ -388,23 +354,19 @@ class ScanMatcher:
             status, reason = "ambiguous", "the sensor is not where its mount says"
             self._diagnostics.issue("sensor_mounting", "the road in its sweeps contradicts its mounting")
         elif match.status == "converged" or match.reason in _USABLE_IF_AMBIGUOUS:
-            east_m, north_m = place.plane.east_north(*block.geodetic(match.east_m, match.north_m))
-            outcome = self._filter.match(
-                sweep.time_ns,
-                (east_m, north_m, match.yaw_rad + place.convergence_rad),
-                match.covariance,
-                unique=candidate.unique,
-                overlay_lag=candidate.lag,
-            ).outcome
+            outcome = self._update_pose(candidate, plane)
             self._diagnostics.count(f"match.{outcome}")
             if outcome == "outside_gate":
                 status, reason = "ambiguous", "contradicts the pose"
-        if status != "lost" and outcome in ("accepted", "recovered", "supported"):
-            self._consecutive_failures = 0
-            if candidate.alignment.road is not None:
-                self._keep_attitude(sweep.time_ns, heights.map_from_vehicle, block)
-        else:
-            self._consecutive_failures += 1
+        used = status != "lost" and outcome in _USED
+        self._pose_guide.note_outcome(used=used)
+        if used:
+            self._keep_road(self._pose_guide, candidate, heights)
+        if candidate.place.guide is self._independent_guide:
+            used = outcome != "" and self._update_independent(candidate).accepted
+            self._independent_guide.note_outcome(used=used)
+            if used:
+                self._keep_road(self._independent_guide, candidate, heights)
         self.reason = f"scan match {status}: {reason}" if reason else ""
         if status != "lost":
             share = self._filter.motion_share(candidate.lag, match.yaw_rad)
@@ -414,41 +376,86 @@ class ScanMatcher:
         )
         return message, outcome in ("recovered", "supported")
 
-    def _keep_attitude(self, time_ns: int, map_from_vehicle: Floats, block: MapBlock) -> None:
-        roll_rad, pitch_rad, _ = roll_pitch_yaw_from_rotation(map_from_vehicle)
-        self._matched_attitude = (time_ns, roll_rad, pitch_rad)
-        self._road_height = (float(map_from_vehicle[2, 3]) + block.base_height_m, self._filter.travelled_m)
+    def _update_pose(self, candidate: MatchCandidate, plane: LocalPlane | None) -> str:
+        """Update the pose by a match; that around the certain independent position leaves no other place open."""
+        if plane is None:
+            return "no_pose"
+        place, match = candidate.place, candidate.match
+        unique = candidate.unique or place.guide is self._independent_guide
+        return self._filter.match(
+            candidate.time_ns,
+            candidate.pose_in(plane),
+            match.covariance,
+            unique=unique,
+            overlay_lag=candidate.lag,
+        ).outcome
+
+    def _update_independent(self, candidate: MatchCandidate) -> MatchUpdate:
+        """Update the independent position by a match that converged."""
+        independent, match, guide = self._independent, candidate.match, candidate.place.guide
+        if independent is None or match.status != "converged":
+            return MatchUpdate("no_pose")
+        plane = independent.plane_for(*candidate.place.block.geodetic(match.east_m, match.north_m))
+        result = independent.match(
+            candidate.time_ns,
+            candidate.pose_in(plane),
+            match.covariance,
+            unique=candidate.unique,
+            overlay_lag=candidate.lag,
+            predicted_here=guide is self._independent_guide,
+        )
+        self._diagnostics.count(f"independent.match.{result.outcome}")
+        return result
+
+    def _seek_independent(
+        self, sweep: PreparedSweep, candidate: MatchCandidate | None, plane: LocalPlane | None, road: Road
+    ) -> None:
+        """Search for the independent position, now and then: around it, or where it is lost around the pose.
+
+        `candidate`: the match around the pose, which serves where it was searched for. A position that is not certain
+        is not matched without a search: along a row of equal houses any of them fits.
+        """
+        independent, guide = self._independent, self._independent_guide
+        if independent is None or guide is None or not independent.active:
+            return
+        if 0 <= sweep.time_ns - guide.searched_ns < self._pause_ns:
+            return
+        guide.searched_ns = sweep.time_ns
+        prediction = guide.prediction(sweep.time_ns)
+        lost = isinstance(prediction, str) or independent.plane is None
+        if not lost or candidate is None or not candidate.unique:
+            around, its_plane = (self._pose_guide, plane) if lost else (guide, independent.plane)
+            place = self._locate(around, its_plane, sweep.time_ns, sweep.time_ns)
+            if isinstance(place, str):
+                return
+            reach = FULL_RANGE if isinstance(prediction, str) else guide.range_around(prediction)
+            candidate = self._search(sweep.time_ns, place, road, reach)
+        usable = candidate is not None and candidate.unique and candidate.match.status == "converged"
+        self._pause_ns = SEARCH_PAUSE_NS if usable else min(2 * self._pause_ns, _LONGEST_PAUSE_NS)
+        if candidate is not None and usable and self._update_independent(candidate).accepted:
+            guide.note_outcome(used=True)
+
+    def _search(
+        self, time_ns: int, place: MatchPlace, road: Road, reach: SearchRange
+    ) -> MatchCandidate | None:
+        """Search for the independent position; the pose's own next search is due when it was."""
+        searched_ns = self._pose_guide.searched_ns
+        candidate = self._match(time_ns, place, road, reach=reach)
+        self._pose_guide.searched_ns = searched_ns
+        return None if isinstance(candidate, str) else candidate
+
+    def _keep_road(self, guide: MatchGuide, candidate: MatchCandidate, heights: SensorHeights) -> None:
+        """Keep attitude and road height of a match that was used, where the local map has shown the road."""
+        if candidate.alignment.road is None:
+            return
+        roll_rad, pitch_rad, _ = roll_pitch_yaw_from_rotation(heights.map_from_vehicle)
+        height_m = float(heights.map_from_vehicle[2, 3]) + candidate.place.block.base_height_m
+        guide.keep_road(candidate.time_ns, (roll_rad, pitch_rad), height_m)
 
     def _lost(self, time_ns: int, reason: str) -> tuple[ScanMatch, bool]:
         self.reason = f"scan match lost: {reason}"
-        self._consecutive_failures += 1
+        self._pose_guide.note_outcome(used=False)
+        if self._independent_guide is not None:
+            self._independent_guide.note_outcome(used=False)
         self._diagnostics.count("match.lost")
         return ScanMatch(time_ns=time_ns, status="lost", reason=reason), False
-
-
-def _outweighs_rivals(result: SearchResult, scan: MatchInput, block: MapBlock) -> bool:
-    """Whether the static structure makes the best match far more likely than rivals with as many points on the map:
-    long walls fit anywhere along themselves, and outnumber what does not."""
-    poses = [result.best.map_from_local, *(rival.map_from_local for rival in result.rivals)]
-    points_m = scan.points_m[_is_structure(scan)]
-    best, *others = log_likelihoods(points_m, poses, block.static_occupancy).tolist()
-    return bool(best - max(others) > _RIVAL_LOG_RATIO)
-
-
-def _is_structure(scan: MatchInput) -> Mask:
-    return (scan.heights_m > STRUCTURE_M[0]) & (scan.heights_m < STRUCTURE_M[1])
-
-
-def _with_shift_variance(match: LayeredMatch, scan: MatchInput, block: MapBlock) -> LayeredMatch:
-    """Return the match with the variance that shifts along its worst direction leave open."""
-    values, vectors = np.linalg.eigh(match.covariance[:2, :2])
-    worst = vectors[:, 1]
-    placed_m = transform_points(match.map_from_local, scan.points_m[_is_structure(scan)])
-    more_m2 = shift_profile(placed_m, block.static_occupancy, worst).variance_m2 - float(values[1])
-    if more_m2 <= 0.0:
-        return match
-    covariance = match.covariance.copy()
-    covariance[:2, :2] += more_m2 * np.outer(worst, worst)
-    if match.status == "converged" and more_m2 > DEGENERATE_SIGMA_M**2:
-        return replace(match, status="ambiguous", reason="direction_unseen", covariance=covariance)
-    return replace(match, covariance=covariance)
