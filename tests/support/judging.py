@@ -10,7 +10,7 @@ from camber.integrity.judge import Judge
 from camber.integrity.judgement import FixJudgement
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Candidate, Fix
-from camber.schemas.pose import Pose, Road
+from camber.schemas.pose import IndependentPosition, Pose, Road
 
 START_NS = 1_373_090_000 * 1_000_000_000
 EPOCH_NS = 200_000_000
@@ -86,6 +86,22 @@ def pose(epoch: float = 0, *, sigma_m: float = 0.1, east_m: float = 0.0, **chang
 def provisional(epoch: float = 0, **changes: Any) -> Pose:
     """The pose of an epoch that rests on unconfirmed fixes alone."""
     return pose(epoch, **{"mode": "provisional", "provenance": "fixes", **changes})
+
+
+def independent(
+    epoch: float = 0, *, sigma_m: float = 0.1, east_m: float = 0.0, north_m: float = 0.0, **changes: Any
+) -> IndependentPosition:
+    """The independent position of an epoch, by a scan match just now."""
+    latitude_rad, longitude_rad = place(epoch, east_m, north_m)
+    fields: dict[str, Any] = {
+        "basis": "scan_match",
+        "latitude_rad": latitude_rad,
+        "longitude_rad": longitude_rad,
+        "covariance_east_north": (sigma_m**2, 0.0, sigma_m**2),
+        "evidence_time_ns": at(epoch),
+        "distance_m": 0.0,
+    }
+    return IndependentPosition(**fields | changes)
 
 
 def antenna(epoch: float = 0, **changes: Any) -> AntennaHeight:

@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_
 from pydantic_core import PydanticCustomError
 
 from camber.schemas.base import Model, Name, Text
+from camber.schemas.integrity import HorizontalReference
 from camber.schemas.motion import LeverArm
 from camber.schemas.toml_file import FileError, Overrides, load_toml
 
@@ -297,6 +298,10 @@ class DriveManifest(Model):
     alert_limit_m: Annotated[float, Field(gt=0.0, le=1_000.0)] = Field(
         1.5, description="horizontal alert limit, metres"
     )
+    horizontal_reference: HorizontalReference = Field(
+        "required",
+        description="the judge's setting: a position that rests on no fix, or honest base and signals",
+    )
     start_s: Annotated[float, Field(ge=0.0, le=1e6)] | None = Field(
         None, description="leave out what comes earlier, seconds after the first epoch of the files"
     )
@@ -428,6 +433,7 @@ class DriveManifest(Model):
             "simulated": self.simulated,
             "surrogates": list(inputs),
             "alert_limit_m": self.alert_limit_m,
+            "horizontal_reference": self.horizontal_reference,
             "start_s": self.start_s,
             "end_s": self.end_s,
             "overrides": list(self.overrides),

@@ -90,6 +90,10 @@ def _failed_rule(outcome: int, verdict: VerdictValue, explanation: str) -> Decis
     return _compared(REASONS[outcome], explanation, _has_outcome(outcome), _figures, outcome=verdict)
 
 
+def _independent_figures(tests: FixTests) -> str:
+    return tests.independent_detail
+
+
 def _uncertain_model(tests: FixTests) -> str:
     most = f"expected at most the largest tolerance, {tests.determination.largest_tolerance_m} m"
     return f"σ {tests.model_sigma_m:.2f} m of road and antenna, {most}"
@@ -156,9 +160,15 @@ TEST_RULES: tuple[DecisionRule, ...] = (
     ),
     _compared(
         "common_offset",
-        "a test below contradicts or is unverified, and all fixes have one common offset: base or datum",
-        lambda tests: tests.outcome != ALL_AGREE and tests.cause_here == "base",
+        "a test below contradicts or is unverified, and all fixes have one common offset: base, datum or drift",
+        lambda tests: tests.outcome != ALL_AGREE and tests.has_common_offset,
         lambda tests: f"{REASONS[tests.outcome]}: {tests.detail}",
+    ),
+    _compared(
+        "common_offset",
+        "all fixes have one offset from the independent position: base, datum, or fixes that are led away",
+        lambda tests: tests.independent is not None and tests.has_common_offset,
+        lambda tests: tests.independent_detail,
     ),
     *(
         _verified_rule(REASONS[outcome], explanation, _has_outcome(outcome), _figures)
@@ -179,12 +189,33 @@ TEST_RULES: tuple[DecisionRule, ...] = (
         lambda tests: tests.outcome == POSITION_CONTRADICTS and tests.is_starting,
         _figures,
     ),
+    _compared(
+        "position_disagrees",
+        "the position contradicts a pose that rests on fixes and agrees with the independent position: "
+        "the pose may be wrong",
+        lambda tests: (
+            tests.outcome == POSITION_CONTRADICTS and tests.has_position_evidence and tests.has_pose_of_fixes
+        ),
+        _independent_figures,
+    ),
     _failed_rule(POSITION_CONTRADICTS, "erroneous", "the position contradicts the pose"),
+    _compared(
+        "position_disagrees",
+        "the position contradicts the independent position alone: the fix, all fixes, or that position is wrong",
+        lambda tests: tests.contradicts_independent,
+        _independent_figures,
+    ),
     *(
         _failed_rule(
             outcome, "unknown", f"the {part} is between agreement and contradiction, or beyond its cap"
         )
         for outcome, part in ((HEIGHT_UNVERIFIED, "height"), (POSITION_UNVERIFIED, "position"))
+    ),
+    _compared(
+        "position_unverified",
+        "the position is between agreement with the independent position and contradiction",
+        lambda tests: tests.is_unverified_by_independent,
+        _independent_figures,
     ),
     _verified_rule(
         "subsets_disagree",

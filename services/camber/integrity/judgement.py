@@ -10,7 +10,7 @@ from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictValue
+from camber.schemas.integrity import Cause, Evidence, HorizontalReference, Reason, Verdict, VerdictValue
 from camber.schemas.pose import Pose
 
 
@@ -42,8 +42,10 @@ class FixJudgement:
         return self.verdict in ("confirmed", "confirmed_after_verification")
 
 
-def verdict_of(judgement: FixJudgement, sigma: TrueSigma) -> Verdict:
-    """The message; it has a position only where that is confirmed."""
+def verdict_of(
+    judgement: FixJudgement, sigma: TrueSigma, reference: HorizontalReference = "required"
+) -> Verdict:
+    """The message, with the setting that it follows; it has a position only where that is confirmed."""
     fix, result, point = judgement.fix, judgement.comparison, judgement.road
     road = judgement.pose.road if judgement.pose is not None else None
     surface_id = point.surface_id if point is not None else road.surface_id if road is not None else None
@@ -68,6 +70,7 @@ def verdict_of(judgement: FixJudgement, sigma: TrueSigma) -> Verdict:
         joint_distance2=result.joint_distance2 if result is not None else None,
         joint_limit=result.joint_limit if result is not None else None,
         cause=judgement.cause,
+        horizontal_reference=reference,
         correction_m=judgement.correction_m,
         trials=judgement.trials,
         surface_id=surface_id,

@@ -13,6 +13,7 @@ from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.protection.position_bounds import LevelRules
 from camber.integrity.re_estimation.requests import ReEstimationRules
 from camber.schemas.channels import BY_NAME
+from camber.schemas.integrity import HorizontalReference
 
 
 def _max_age_s(channel: str) -> float:
@@ -31,8 +32,12 @@ class Rules:
 
     The largest ages are those of the table of channels; what is dated further ahead than `future_limit_s` comes from a
     clock that is wrong.
+
+    `horizontal_reference`: *required*: only an independent position is evidence of the position, and without one no
+    position is usable. *assumed*: base station and signals are honest, so a pose that fixes anchor is evidence too.
     """
 
+    horizontal_reference: HorizontalReference = "required"
     determination: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     pose_sigma_limit_m: float = 15.0
     fix_sigma_limit_m: float = 0.5

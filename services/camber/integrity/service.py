@@ -134,7 +134,7 @@ class IntegrityService(Service[IntegritySettings]):
             judgement = self._re_estimate(judgement, request, alive)
         self._judge.settle(judgement)
         self.bus.count(f"verdict.{judgement.verdict}")
-        self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
+        self.bus.publish("verdict", self._verdict_of(judgement))
         self._schedule.verdict(now_ns)
         self._positions.update_dispute(judgement)
         if judgement.confirmed:
@@ -144,6 +144,9 @@ class IntegrityService(Service[IntegritySettings]):
             self._schedule.rtk(fix.time_ns)
         self._save(_SAVE_EVERY)
         self._collect(judgement)
+
+    def _verdict_of(self, judgement: FixJudgement) -> Verdict:
+        return verdict_of(judgement, self._rules.true_sigma, self._rules.horizontal_reference)
 
     def _re_estimate(
         self, judgement: FixJudgement, request: EstimatesRequest, alive: frozenset[str]
@@ -197,7 +200,14 @@ class IntegrityService(Service[IntegritySettings]):
         if reason is not None and verdict_is_due:
             self._schedule.verdict(now_ns)
             self.bus.publish(
-                "verdict", Verdict(time_ns=now_ns, fix_id=None, verdict="unknown", reason=reason)
+                "verdict",
+                Verdict(
+                    time_ns=now_ns,
+                    fix_id=None,
+                    verdict="unknown",
+                    reason=reason,
+                    horizontal_reference=self._rules.horizontal_reference,
+                ),
             )
         missing = inputs.missing_pose(now_ns, self._rules) or reason
         if missing is not None and position_is_due:

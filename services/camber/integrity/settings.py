@@ -14,6 +14,7 @@ from camber.integrity.learning.height_correction import Mode
 from camber.integrity.rules import Rules
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Probability
+from camber.schemas.integrity import HorizontalReference
 
 P = TypeVar("P")
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -33,6 +34,10 @@ class IntegritySettings(ServiceSettings):
 
     SERVICE: ClassVar[str] = "integrity"
 
+    horizontal_reference: HorizontalReference = _sets(
+        "horizontal_reference",
+        "usable only with a position that rests on no fix, or base station and signals are assumed to be honest",
+    )
     tests: tuple[Test, ...] = _sets(
         "determination.tests",
         "tests of a fix; continuity and receiver alone are not allowed, since neither confirms a fix",
@@ -239,6 +244,23 @@ class IntegritySettings(ServiceSettings):
     )
     disputed_pose_prior: Probability = _sets(
         "levels.disputed_pose_prior", "probability that a pose contradicted by a fix at road height is wrong"
+    )
+    base_fault_prior: Probability = _sets(
+        "levels.common_fault.base_prior",
+        "probability, per epoch, that the base's coordinate puts all fixes off by one vector",
+    )
+    drift_fault_prior: Probability = _sets(
+        "levels.common_fault.drift_prior", "the same, that signals or a filter lead all fixes away"
+    )
+    captured_pose_prior: Probability = _sets(
+        "levels.common_fault.captured_prior",
+        "the same, that wrong fixes hold the pose that they are checked by",
+    )
+    map_shift_prior: Probability = _sets(
+        "levels.common_fault.map_shift_prior", "probability that the map is shifted where the vehicle is"
+    )
+    map_shift_sigma_m: Positive = _sets(
+        "levels.common_fault.map_shift_sigma_m", "σ of that shift, each horizontal axis"
     )
 
     @model_validator(mode="after")

@@ -40,7 +40,10 @@ def service_settings(inputs: DriveInputs, folder: Path) -> ServiceTables:
             **localizer_config(manifest, inputs.initial_pose),
         },
         "antenna_height": antenna_height_settings(manifest),
-        "integrity": {"alert_limit_m": manifest.alert_limit_m},
+        "integrity": {
+            "alert_limit_m": manifest.alert_limit_m,
+            "horizontal_reference": manifest.horizontal_reference,
+        },
     }
     return {
         name: {

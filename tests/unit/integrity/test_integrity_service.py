@@ -110,7 +110,16 @@ def test_a_right_fix_has_a_verdict_and_is_the_position_of_its_epoch(rig):
     sent = rig.epoch(0)
     assert verdicts(sent) == [("confirmed", "height_agrees")]
     (position,) = of(sent, "position")
-    assert position.source == "rtk"
+    assert (position.source, position.usable, position.reason) == ("rtk", False, "no_independent_position")
+    assert position.horizontal_protection_level_m is None
+    assert position.horizontal_reference == of(sent, "verdict")[0].horizontal_reference == "required"
+
+
+def test_with_an_honest_base_a_right_fix_has_a_level_and_the_messages_say_so():
+    sent = Rig(horizontal_reference="assumed").epoch(0)
+    assert verdicts(sent) == [("confirmed", "height_agrees")]
+    (position,) = of(sent, "position")
+    assert position.horizontal_reference == of(sent, "verdict")[0].horizontal_reference == "assumed"
     assert position.horizontal_protection_level_m > position.semi_major_999_m
     # The pose rests on fixes that were confirmed before this judge was there: it does not speak for this one.
     assert (position.usable, position.reason) == (False, "position_unverified")

@@ -13,7 +13,7 @@ from camber.integrity.learning.offset_causes import Diagnosis
 from camber.integrity.learning.residuals import ReferenceKey
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import ReceiverIntegrity
-from support.judging import ALL, ROAD_M, SettlingJudge, antenna, at, fix, pose, provisional, road
+from support.judging import ALL, ROAD_M, SettlingJudge, antenna, at, fix, independent, pose, provisional, road
 
 BY_GAIN = Rules(learning=LearningRules(mode="document"))
 
@@ -78,7 +78,7 @@ def test_a_fix_on_road_and_antenna_near_the_pose_is_confirmed():
     judgement = judged()
     assert judgement.confirmed
     assert verdict_and_reason(judgement) == ("confirmed", "height_agrees")
-    assert judgement.evidence == ("height", "position")
+    assert judgement.evidence == ("height", "consistency")
     assert judgement.road.surface_id == 7
 
 
@@ -652,7 +652,7 @@ def test_without_the_height_neither_road_nor_antenna_is_needed():
     nothing = {"the_pose": pose(road=no_road()), "the_antenna": antenna(status="unknown")}
     judgement = judged(rules=by("position"), **nothing)
     assert verdict_and_reason(judgement) == ("confirmed", "none")
-    assert judgement.evidence == ("position",)
+    assert judgement.evidence == ("consistency",)
     assert judged(**nothing).verdict == "unknown"
     assert judged(rules=by("position"), the_pose=pose(road=road(datum=None))).confirmed
     assert judged(fix(datum="JGD2011"), rules=by("position")).reason == "datum_mismatch"
@@ -681,7 +681,7 @@ def test_residuals_alone_confirm_only_what_is_consistent():
 
 
 def test_consistent_residuals_are_listed_with_the_other_evidence():
-    assert judged(fix(phase_residuals="consistent")).evidence == ("height", "position", "phase_residuals")
+    assert judged(fix(phase_residuals="consistent")).evidence == ("height", "consistency", "phase_residuals")
 
 
 def test_subsets_alone_confirm_only_what_agrees():
@@ -689,7 +689,7 @@ def test_subsets_alone_confirm_only_what_agrees():
     assert judged(fix(subset_agreement="agree"), rules=alone).evidence == ("subset_agreement",)
     assert verdict_and_reason(judged(rules=alone)) == ("unknown", "height_unverified")
     assert judged(fix(subset_agreement="agree"), rules=by("height")).evidence == ("height",)
-    assert judged(fix(subset_agreement="agree")).evidence == ("height", "position", "subset_agreement")
+    assert judged(fix(subset_agreement="agree")).evidence == ("height", "consistency", "subset_agreement")
 
 
 def test_subsets_that_disagree_are_the_reason_only_where_all_else_agrees():
@@ -930,3 +930,80 @@ def test_no_state_of_receiver_or_engine_makes_up_for_the_height(
         assert residuals != "contradictory"
         assert subsets != "disagree"
         assert spoofing in ("none", "unknown")
+
+
+# --- the independent position --------------------------------------------------------------------------------------
+
+
+def beside(sigma_m=0.1, **place):
+    """A pose of confirmed fixes at the origin, with an independent position beside it."""
+    return pose(independent=independent(sigma_m=sigma_m, **place))
+
+
+def test_only_what_agrees_with_the_independent_position_is_position_evidence():
+    assert judged(the_pose=beside()).evidence == ("height", "position", "consistency")
+    assert judged(the_pose=beside(sigma_m=3.0)).evidence == (
+        "height",
+        "consistency",
+    )  # too wide to contradict
+    matched = {"mode": "scan_match", "provenance": "scan_match"}
+    assert judged(the_pose=pose(**matched)).evidence == ("height",)
+    assert judged(the_pose=pose(**matched, independent=independent())).evidence == ("height", "position")
+
+
+def test_where_base_and_signals_are_honest_the_pose_is_position_evidence_too():
+    rules = Rules(horizontal_reference="assumed")
+    for the_pose in (pose(), beside(north_m=20.0)):
+        judgement = judged(the_pose=the_pose, rules=rules)
+        assert (judgement.verdict, judgement.evidence) == ("confirmed", ("height", "position"))
+
+
+def test_a_fix_that_agrees_with_a_pose_of_fixes_and_not_with_the_independent_position_is_unknown():
+    """The base is 2 m off: fixes and pose agree, and nothing tells whether they or the scan match are wrong."""
+    judgement = judged(the_pose=beside(north_m=-2.0))
+    assert verdict_and_reason(judgement) == ("unknown", "position_disagrees")
+    assert "2.00 m from the independent position of σ 0.10 m (scan_match, 0 m ago)" in judgement.detail
+
+
+def test_neither_series_nor_integers_verify_a_fix_that_the_independent_position_contradicts():
+    drive = Drive()
+    drive.epoch(0, the_pose=pose(independent=independent()))
+    raised = {"road": road(elevation_m=ROAD_M + 0.5)}
+    there = pose(1, independent=independent(1), **raised)
+    assert drive.epoch(1, the_pose=there).verdict == "confirmed_after_verification"
+    elsewhere = pose(2, independent=independent(2, north_m=2.0), **raised)
+    assert verdict_and_reason(drive.epoch(2, the_pose=elsewhere)) == ("erroneous", "height_disagrees")
+
+
+def test_between_agreement_and_contradiction_it_holds_a_fix_back():
+    judgement = judged(the_pose=beside(north_m=0.6))
+    assert verdict_and_reason(judgement) == ("unknown", "position_unverified")
+    assert "independent" in judgement.detail
+
+
+def test_a_fix_that_both_contradict_is_erroneous():
+    assert verdict_and_reason(judged(fix(north_m=3.0), the_pose=beside())) == (
+        "erroneous",
+        "position_disagrees",
+    )
+
+
+def test_a_fix_at_the_independent_position_puts_the_pose_of_fixes_in_doubt():
+    away = judged(fix(north_m=3.0), the_pose=beside(north_m=3.0))
+    assert verdict_and_reason(away) == ("unknown", "position_disagrees")
+    matched = pose(mode="scan_match", provenance="scan_match", independent=independent(north_m=3.0))
+    assert judged(fix(north_m=3.0), the_pose=matched).verdict == "erroneous"  # no fix has anchored it
+    wide = judged(fix(north_m=3.0), the_pose=beside(sigma_m=9.0))
+    assert wide.verdict == "erroneous"  # it agrees with everything
+
+
+@pytest.mark.parametrize("cause", ["base", "drift"])
+def test_where_all_fixes_have_one_offset_from_it_none_is_confirmed(cause):
+    judgement = judged(the_pose=beside(), learning=Knowing(cause))
+    assert verdict_and_reason(judgement) == ("unknown", "common_offset")
+    assert judged(learning=Knowing(cause)).confirmed  # nothing here shows it horizontally
+
+
+def test_where_no_position_is_tested_the_independent_one_is_not_asked():
+    judgement = judged(rules=by("height"), the_pose=beside(north_m=-20.0))
+    assert (judgement.verdict, judgement.evidence) == ("confirmed", ("height",))

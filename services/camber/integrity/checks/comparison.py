@@ -10,15 +10,11 @@ import numpy as np
 from camber.integrity.checks.chi2_test import Floats, covariance_of_difference
 from camber.integrity.checks.consistency import ConsistencyLimits, consistency_of
 from camber.integrity.checks.height_check import HeightModel, RoadPoint
-from camber.integrity.checks.pose_gate import offset_from_pose
+from camber.integrity.checks.pose_gate import offset_from_pose, unsteady_m2
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
-
-_ACCELERATION_M_S2 = (
-    2.0  # 1 σ of a car's: by half of it × dt² it is elsewhere than where a steady one would be
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -109,8 +105,7 @@ def _pose_covariance(pose: Pose, at_ns: int) -> tuple[float, float, float]:
     """(ee, en, nn) of the pose, and what a car may have accelerated by between its time and the fix's."""
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    since_s = (at_ns - pose.time_ns) / 1e9
-    moved_m2 = (0.5 * _ACCELERATION_M_S2 * since_s * since_s) ** 2
+    moved_m2 = unsteady_m2(pose, at_ns)
     return ee + moved_m2, en, nn + moved_m2
 
 

@@ -203,7 +203,7 @@ def consistency_of(
     acceptance_radius_m = where(
         near_acceptance_radius_m >= acceptance_radius_m, acceptance_radius_m, near_acceptance_radius_m
     )
-    near = _squared(east_m, north_m, near_m2) <= limits.position[0]
+    near = horizontal_distance2(east_m, north_m, near_m2) <= limits.position[0]
     far = (horizontal_outcome == AGREES) & logical_not(near) & rules.asks_position
     position = where(far, UNVERIFIED, horizontal_outcome)
     # However wide σ is, no height agrees beyond the tolerance; and a test of the position alone has to have power.
@@ -242,12 +242,12 @@ def _tolerance_m(sigma_m: FloatOrArray, limits: ConsistencyLimits) -> FloatOrArr
     return where(tolerance_m < rules.height_cap_m, tolerance_m, rules.height_cap_m)
 
 
-def _squared(
+def horizontal_distance2(
     east_m: FloatOrArray,
     north_m: FloatOrArray,
     covariance_m2: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
 ) -> FloatOrArray:
-    """dᵀ C⁻¹ d; not a number where C is no covariance."""
+    """dᵀ C⁻¹ d of a difference east, north with C (ee, en, nn); not a number where C is no covariance."""
     a, b, c = covariance_m2
     determinant = where(a > 0.0, positive_or_nan(a * c - b * b), math.nan)
     return (c * east_m * east_m - 2.0 * b * east_m * north_m + a * north_m * north_m) / determinant

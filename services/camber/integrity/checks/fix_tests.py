@@ -13,6 +13,7 @@ from camber.integrity.checks.comparison import FixComparison, compare
 from camber.integrity.checks.consistency import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
 from camber.integrity.checks.fix_history import FixHistory, is_precise
 from camber.integrity.checks.height_check import HeightModel, RoadPoint, road_at
+from camber.integrity.checks.independent_position import IndependentComparison, compare_with_independent
 from camber.integrity.checks.pose_gate import offset_from_pose, pose_sigma_m
 from camber.integrity.checks.start_rule import StartCount
 from camber.integrity.checks.verification import phase_residuals_agree, scan_matching_agrees, verified
@@ -20,7 +21,7 @@ from camber.integrity.epoch_inputs import age_s
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
 from camber.integrity.learning.height_residual import base_of, key_of
-from camber.integrity.protection.fault_hypotheses import is_provisional
+from camber.integrity.protection.fault_hypotheses import is_provisional, rests_on_fixes
 from camber.integrity.re_estimation.requests import limits_after
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
@@ -67,6 +68,11 @@ class FixTests:
         """The cause of a lasting offset on the road under the fix."""
         surface_id = self.road.surface_id if self.road is not None else None
         return self._state.learning.diagnosis(surface_id).cause
+
+    @property
+    def has_common_offset(self) -> bool:
+        """Are all fixes off by one vector, of the base or the datum, or one that grows?"""
+        return self.cause_here in ("base", "drift")
 
     # Tests that need neither pose nor road.
 
@@ -175,6 +181,47 @@ class FixTests:
         """Does the horizontal position contradict the pose, in a test that is in use?"""
         return "position" in self.determination.tests and self.comparison.position == CONTRADICTS
 
+    @property
+    def is_reference_required(self) -> bool:
+        """Is only an independent position evidence of the position?"""
+        return self.rules.horizontal_reference == "required"
+
+    @cached_property
+    def independent(self) -> IndependentComparison | None:
+        """The fix against the independent position; None where there is none, or none is required."""
+        if not (self.is_reference_required and self.determination.asks_position):
+            return None
+        limits = limits_after(self.determination, self.trials)
+        return compare_with_independent(self.fix, self.pose, self.rules.true_sigma, limits)
+
+    @property
+    def contradicts_independent(self) -> bool:
+        """Does the fix contradict the independent position?"""
+        return self.independent is not None and self.independent.contradicts
+
+    @property
+    def is_unverified_by_independent(self) -> bool:
+        """Does the fix neither agree with the independent position nor contradict it?"""
+        return self.independent is not None and not self.independent.agrees
+
+    @property
+    def has_pose_of_fixes(self) -> bool:
+        """Have fixes anchored the pose, so that agreement with it is that of fixes with one another?"""
+        return rests_on_fixes(self.pose)
+
+    @property
+    def has_position_evidence(self) -> bool:
+        """Does the fix agree with an independent position that is narrow enough to contradict it?"""
+        narrow_m = self.determination.position_cap_m
+        other = self.independent
+        return other is not None and other.agrees and other.acceptance_radius_m <= narrow_m
+
+    @property
+    def independent_detail(self) -> str:
+        """The figures of the independent position, and those of the pose."""
+        described = self.independent.describe() if self.independent is not None else ""
+        return f"{described}; {self.detail}"
+
     @cached_property
     def outcome(self) -> int:
         """Index of `consistency.REASONS`; off the road only the position was tested."""
@@ -203,10 +250,15 @@ class FixTests:
         parameters, evidence = self.determination, list[Evidence]()
         if parameters.asks_height:
             evidence.append("height")
+        if self.has_position_evidence:
+            evidence.append("position")
         # A pose that stems from the fixes themselves, or is metres wide, agrees with everything.
         narrow = self.comparison.acceptance_radius_m <= parameters.position_cap_m
         if parameters.asks_position and narrow and not self.is_starting:
-            evidence.append("position")
+            if not self.is_reference_required:
+                evidence.append("position")
+            elif self.has_pose_of_fixes:
+                evidence.append("consistency")
         if "phase_residuals" in parameters.tests and self.fix.phase_residuals == "consistent":
             evidence.append("phase_residuals")
         if "subset_agreement" in parameters.tests and self.fix.subset_agreement == "agree":
@@ -216,7 +268,7 @@ class FixTests:
     @cached_property
     def verification(self) -> tuple[Evidence, ...]:
         """The evidence that confirms the fix although a test is against it; empty where it does not suffice."""
-        if self.is_starting or not is_precise(self.fix, self.rules):
+        if self.is_starting or not is_precise(self.fix, self.rules) or self.is_unverified_by_independent:
             return ()
         evidence = self._verification_evidence()
         if self.outcome != ALL_AGREE and self.comparison.position != AGREES:

@@ -9,6 +9,10 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.schemas.base import Covariance3
 from camber.schemas.pose import Pose
 
+_ACCELERATION_M_S2 = (
+    2.0  # 1 σ of a car's: by half of it × dt² it is elsewhere than where a steady one would be
+)
+
 
 def can_move_on(pose: Pose) -> bool:
     """Does the pose say how the antenna moves? One that stands needs no direction."""
@@ -25,10 +29,22 @@ def offset_from_pose(
     if pose.latitude_rad is None or pose.longitude_rad is None:
         raise ValueError("the pose has no position")
     east_m, north_m = east_north_between(pose.latitude_rad, pose.longitude_rad, latitude_rad, longitude_rad)
+    moved_east_m, moved_north_m = travelled_m(pose, at_ns)
+    return east_m - moved_east_m, north_m - moved_north_m
+
+
+def travelled_m(pose: Pose, at_ns: int) -> tuple[float, float]:
+    """East and north metres that the antenna has moved from the pose's time to `at_ns`; none where it does not say."""
     if pose.speed_m_s is None or pose.yaw_rad is None:
-        return east_m, north_m
-    travelled_m = pose.speed_m_s * (at_ns - pose.time_ns) / 1e9
-    return east_m - travelled_m * math.cos(pose.yaw_rad), north_m - travelled_m * math.sin(pose.yaw_rad)
+        return 0.0, 0.0
+    along_m = pose.speed_m_s * (at_ns - pose.time_ns) / 1e9
+    return along_m * math.cos(pose.yaw_rad), along_m * math.sin(pose.yaw_rad)
+
+
+def unsteady_m2(pose: Pose, at_ns: int) -> float:
+    """Variance, each axis, of what a car may have accelerated by between the pose's time and `at_ns`, m²."""
+    since_s = (at_ns - pose.time_ns) / 1e9
+    return (0.5 * _ACCELERATION_M_S2 * since_s * since_s) ** 2
 
 
 def pose_sigma_m(pose: Pose) -> float:

@@ -210,7 +210,10 @@ def updated_dispute(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionCandidate:
-    """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does."""
+    """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does.
+
+    `up_by_road_m`: mean and variance of its error upwards if only the road says how high it is.
+    """
 
     source: Source
     time_ns: int
@@ -219,6 +222,7 @@ class PositionCandidate:
     yaw_rad: float | None
     mixture: ErrorMixture
     wrong: float | None
+    up_by_road_m: tuple[float, float]
     fix_id: int | None = None
 
 
@@ -243,7 +247,7 @@ def confirmed_fix(
     total = 1.0 + odds + pulled
     parts = (
         MixtureComponent(weight=1.0 / total, horizontal_m2=_horizontal(covariance), up_m2=covariance[5]),
-        *_by_road(wrong, odds / total, rules),
+        *road_components(wrong, odds / total, rules),
         _wider(before.part(pulled / total), covariance),
     )
     probability = (odds + pulled) / total
@@ -256,6 +260,7 @@ def confirmed_fix(
         # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
         mixture=ErrorMixture(parts, probability * rules.pose_fault_prior),
         wrong=probability,
+        up_by_road_m=(wrong.mean_m[2], wrong.up_m2),
         fix_id=fix.fix_id,
     )
     after = before.after(fix.time_ns, odds, wrong, rules.wrong_fix)
@@ -286,6 +291,7 @@ def of_doppler(
         yaw_rad=moved.yaw_rad,
         mixture=ErrorMixture(grown, base.mixture.lost + rules.pose_fault_prior),
         wrong=base.wrong,
+        up_by_road_m=(base.up_by_road_m[0], base.up_by_road_m[1] + uu - base.covariance_enu_m2[5]),
         fix_id=base.fix_id,
     )
 
@@ -307,14 +313,14 @@ def of_pose(
     alone = MixtureComponent(
         weight=1.0, horizontal_m2=(ee, en, nn), up_m2=up_m2 if height_m is not None else math.inf
     )
-    parts: tuple[MixtureComponent, ...] = _by_road(alone, 1.0, levels)
+    parts: tuple[MixtureComponent, ...] = road_components(alone, 1.0, levels)
     wrong: float | None = None
     if rests_on_fixes(pose):
         wrong = latent_fault.odds / (1.0 + latent_fault.odds)
         # The height is that of the road.
         wider = (ee + latent_fault.horizontal_m2, en, nn + latent_fault.horizontal_m2)
         pulled = MixtureComponent(weight=wrong, horizontal_m2=wider, up_m2=alone.up_m2)
-        parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
+        parts = (*road_components(alone, 1.0 - wrong, levels), *road_components(pulled, wrong, levels))
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
     return PositionCandidate(
@@ -325,6 +331,7 @@ def of_pose(
         yaw_rad=pose.yaw_rad,
         mixture=ErrorMixture(parts, levels.pose_fault_prior),
         wrong=wrong,
+        up_by_road_m=(0.0, alone.up_m2),
     )
 
 
@@ -407,7 +414,7 @@ def _if_wrong(
     return math.exp(min(against, _MOST_LOG_ODDS)), wrong
 
 
-def _by_road(
+def road_components(
     part: MixtureComponent, weight: float, rules: LevelRules
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""

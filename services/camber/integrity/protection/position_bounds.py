@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
+from camber.integrity.protection.common_fault_probability import CommonFaultRules
 from camber.integrity.protection.doppler_position import DopplerRules
 from camber.integrity.protection.protection_level import TailComponent, levels_m
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules
@@ -75,6 +76,7 @@ class LevelRules:
     changed_road_prior: float = 1e-2
     changed_road_sigma_m: float = 0.2
     disputed_pose_prior: float = 1e-3
+    common_fault: CommonFaultRules = field(default_factory=CommonFaultRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

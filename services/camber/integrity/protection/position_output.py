@@ -13,6 +13,7 @@ from dataclasses import replace
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.judgement import FixJudgement
+from camber.integrity.protection.common_fault import with_common_fault
 from camber.integrity.protection.doppler_position import DopplerPosition
 from camber.integrity.protection.fault_hypotheses import (
     LatentFaultHypothesis,
@@ -31,6 +32,7 @@ from camber.integrity.rules import SAME_EPOCH_S, Rules
 from camber.schemas.base import Covariance3
 from camber.schemas.gnss import SatelliteVelocity
 from camber.schemas.integrity import Position, Reason
+from camber.schemas.pose import Pose
 
 _CONTRADICTION = 27.6  # squared distance of two positions: χ²(2) at 1e-6
 _FLOOR_M2 = 0.01  # each axis, (0.1 m)²; chosen: precise positions do not contradict by centimetres
@@ -138,8 +140,12 @@ class PositionOutput:
         return None
 
     def _best(self, candidates: list[PositionCandidate | None], inputs: EpochInputs) -> Position:
-        """The first of them, or a later one whose level is clearly smaller and whose height agrees."""
-        best, *others = [candidate for candidate in candidates if candidate is not None]
+        """The first of them, or a later one whose level is clearly smaller and whose height agrees.
+
+        Where a reference is required each is bounded with the faults that all fixes share too. Without an independent
+        position none of them can be: they are compared by the faults of single fixes, and have no horizontal level.
+        """
+        best, *others = self._with_faults([one for one in candidates if one is not None], inputs)
         bounds = self._bounds(best)
         for other in others:
             limit_m = self._levels.clearly_smaller * bounds.horizontal_level_m
@@ -151,6 +157,22 @@ class PositionOutput:
                 best, bounds = other, result
         self._index.keep(best.time_ns, bounds)
         return self._position(best, bounds, inputs)
+
+    def _with_faults(
+        self, candidates: list[PositionCandidate], inputs: EpochInputs
+    ) -> list[PositionCandidate]:
+        if self._rules.horizontal_reference == "assumed":
+            return candidates
+        pose = self._reference(candidates[0].time_ns, inputs)
+        bounded = [with_common_fault(one, pose, self._levels) for one in candidates]
+        return [one or before for one, before in zip(bounded, candidates, strict=True)]
+
+    def _reference(self, time_ns: int, inputs: EpochInputs) -> Pose | None:
+        """The pose with an independent position that can be moved on to this time, None where there is none."""
+        pose = inputs.pose
+        if pose is None or pose.independent is None or inputs.missing_pose(time_ns, self._rules) is not None:
+            return None
+        return pose
 
     def _height_agrees(
         self, best: PositionCandidate, bounds: Bounds, other: PositionCandidate, result: Bounds
@@ -182,13 +204,18 @@ class PositionOutput:
         return self._index.bounds(of.source, of.time_ns, result, known=of.geodetic[2] is not None)
 
     def _position(self, result: PositionCandidate, bounds: Bounds, inputs: EpochInputs) -> Position:
-        reason = self._too_large(result, bounds, inputs)
+        has_reference = (
+            self._rules.horizontal_reference == "assumed"
+            or self._reference(result.time_ns, inputs) is not None
+        )
+        reason = self._too_large(result, bounds, inputs) if has_reference else "no_independent_position"
         by_risk = self._levels.levels == "integrity_risk"
         return Position(
             time_ns=result.time_ns,
             source=result.source,
             usable=reason is None,
             reason=reason or "none",
+            horizontal_reference=self._rules.horizontal_reference,
             latitude_rad=result.geodetic[0],
             longitude_rad=result.geodetic[1],
             height_m=result.geodetic[2],
@@ -199,7 +226,7 @@ class PositionOutput:
             semi_major_999_m=_known(bounds.semi_major_999_m),
             semi_minor_999_m=_known(bounds.semi_minor_999_m),
             orientation_rad=bounds.orientation_rad,
-            horizontal_protection_level_m=_known(bounds.horizontal_level_m),
+            horizontal_protection_level_m=_known(bounds.horizontal_level_m) if has_reference else None,
             vertical_protection_level_m=_known(bounds.vertical_level_m),
             integrity_risk=self._levels.integrity_risk if by_risk else 1.0 - self._levels.index.probability,
             alert_limit_m=self._rules.alert_limit_m,
@@ -228,6 +255,7 @@ def unavailable_position(time_ns: int, reason: Reason, rules: Rules) -> Position
         source="none",
         usable=False,
         reason=reason,
+        horizontal_reference=rules.horizontal_reference,
         alert_limit_m=rules.alert_limit_m,
         vertical_alert_limit_m=rules.levels.vertical_alert_limit_m,
     )

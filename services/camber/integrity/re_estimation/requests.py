@@ -118,7 +118,10 @@ def _carried(other: FixJudgement, subsets: int, rules: ReEstimationRules) -> boo
 
     Up to one in ten wrong places has the height of the road, and twenty were tried.
     """
-    return "position" in other.evidence or subsets >= rules.subsets_for_height_alone
+    return (
+        bool({"position", "consistency"}.intersection(other.evidence))
+        or subsets >= rules.subsets_for_height_alone
+    )
 
 
 def other_fix(fix: Fix, candidate: Candidate) -> Fix:

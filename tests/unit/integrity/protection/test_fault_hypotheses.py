@@ -36,7 +36,8 @@ from support.judging import (
     road,
 )
 
-RULES, LEVELS = Rules(), LevelRules()
+# Faults of single fixes: base station and signals are honest. `test_common_fault.py` has the others.
+RULES, LEVELS = Rules(horizontal_reference="assumed"), LevelRules()
 MATCHED = {"mode": "scan_match", "provenance": "scan_match"}
 BEFORE = LatentFaultHypothesis.initial(LEVELS.wrong_fix)
 CHANGED = LEVELS.changed_road_prior
@@ -181,6 +182,7 @@ def test_by_doppler_it_has_come_so_far_and_is_so_much_less_sure():
         yaw_rad=0.5,
         mixture=ErrorMixture(parts, 1e-9),
         wrong=0.1,
+        up_by_road_m=(0.3, 0.05),
         fix_id=17,
     )
     p = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]])

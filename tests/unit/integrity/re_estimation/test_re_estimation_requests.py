@@ -144,6 +144,7 @@ def test_only_what_height_and_position_confirm_passes(verdict):
         (3, ("height",), "confirmed"),
         (2, ("height",), "erroneous"),
         (2, ("height", "position"), "confirmed"),
+        (2, ("height", "consistency"), "confirmed"),
         (1, ("height", "phase_residuals"), "erroneous"),
     ],
 )

@@ -1,0 +1,195 @@
+"""All fixes off by one vector: the level reaches as far as the independent position cannot exclude; none without.
+
+Base coordinate, fixes led away and a captured pose have one shape: candidate and pose agree, and only the independent
+position is elsewhere. So the errors drawn here are of that shape, for candidates of fixes, Doppler and pose alike.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from camber.integrity.epoch_inputs import EpochInputs
+from camber.integrity.protection.common_fault import with_common_fault
+from camber.integrity.protection.common_fault_probability import CommonFaultRules, common_fault_odds
+from camber.integrity.protection.fault_hypotheses import PositionCandidate
+from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
+from camber.integrity.protection.position_output import PositionOutput
+from camber.integrity.rules import Rules
+from support.judging import ALL, SettlingJudge, antenna, at, fix, independent, place, pose
+
+RULES, LEVELS, FAULTS = Rules(), LevelRules(), CommonFaultRules()
+exactly = settings(derandomize=True, deadline=None)
+
+
+def candidate(source="rtk", sigma_m=0.05, east_m=0.0, north_m=0.0):
+    m2 = sigma_m**2
+    return PositionCandidate(
+        source=source,
+        time_ns=at(0),
+        geodetic=(*place(0, east_m, north_m), 41.8),
+        covariance_enu_m2=(m2, 0.0, 0.0, m2, 0.0, m2),
+        yaw_rad=0.0,
+        mixture=ErrorMixture((MixtureComponent(weight=1.0, horizontal_m2=(m2, 0.0, m2), up_m2=m2),), 1e-9),
+        wrong=None,
+        up_by_road_m=(0.1, 0.01),
+    )
+
+
+def level_m(one, sigma_m=0.1, rules=LEVELS, **changes):
+    bounded = with_common_fault(one, pose(independent=independent(sigma_m=sigma_m, **changes)), rules)
+    return bounds_of([bounded.mixture], rules)[0].horizontal_level_m
+
+
+# --- the odds ----------------------------------------------------------------------------------------------------
+
+
+@exactly
+@given(st.floats(0.0, 60.0))
+def test_the_odds_are_those_of_the_covariance_that_fits_best(squared):
+    d, best = np.array([math.sqrt(squared), 0.0]), 0.0
+    for scale in np.geomspace(1.0, 100.0, 400):
+        best = max(best, multivariate_normal(cov=scale * np.eye(2)).pdf(d))
+    ratio = best / multivariate_normal(cov=np.eye(2)).pdf(d)
+    prior = FAULTS.prior / (1.0 - FAULTS.prior)
+    assert common_fault_odds(squared, FAULTS) == pytest.approx(prior * ratio, rel=1e-3)
+
+
+@pytest.mark.parametrize("squared", [1e6, math.inf, math.nan])
+def test_what_is_far_off_or_no_number_is_a_fault(squared):
+    assert common_fault_odds(squared, FAULTS) > 1e9
+
+
+def test_the_prior_is_the_sum_of_the_faults_and_never_a_certainty():
+    assert CommonFaultRules(base_prior=0.1, drift_prior=0.02, captured_prior=0.003).prior == pytest.approx(
+        0.123
+    )
+    assert CommonFaultRules(base_prior=0.9).prior == 0.5
+
+
+# --- the level ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("source", ["rtk", "doppler", "sensors", "scan_match"])
+@pytest.mark.parametrize("bias_m", [0.0, 0.3, 1.7, 12.0])
+def test_errors_of_a_common_fault_stay_within_the_level(source, bias_m):
+    """The vehicle is where it is, all fixes `bias_m` beside it, the independent position off by its own error."""
+    rng = np.random.default_rng(20)
+    beyond, n, sigma_m = 0, 400, 0.3
+    for _ in range(n):
+        angle, off = rng.uniform(0.0, 2.0 * math.pi), rng.normal(0.0, sigma_m, 2)
+        east_m, north_m = bias_m * math.cos(angle), bias_m * math.sin(angle)
+        one = candidate(source, 0.05, east_m, north_m)
+        beyond += level_m(one, sigma_m, east_m=off[0], north_m=off[1]) < bias_m
+    # 1.2e-3 of prior: a share of 1e-7 / 1.2e-3 of the faulted epochs may be beyond it.
+    assert beyond == 0
+
+
+@exactly
+@given(st.floats(0.05, 3.0), st.floats(1.01, 2.0), st.floats(0.0, 3.0))
+def test_the_level_grows_with_the_error_of_odometry_since_the_last_evidence(sigma_m, factor, east_m):
+    one = candidate(east_m=east_m)
+    # Where the difference is many σ of the narrower one, that one is surer of the fault.
+    if east_m < 2.0 * sigma_m:
+        assert level_m(one, sigma_m) <= level_m(one, factor * sigma_m) * (1.0 + 1e-3)
+
+
+@exactly
+@given(st.floats(0.05, 1.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
+def test_it_grows_with_the_distance_and_reaches_beyond_it_where_it_counts(sigma_m, east_m, more_m):
+    near, far = (
+        level_m(candidate(east_m=east_m), sigma_m),
+        level_m(candidate(east_m=east_m + more_m), sigma_m),
+    )
+    assert far >= near * (1.0 - 1e-3)
+    assert near >= east_m
+
+
+def test_nothing_that_is_suspected_costs_nothing_and_agreement_argues_against_nothing():
+    none = replace(LEVELS, common_fault=CommonFaultRules(base_prior=0.0, drift_prior=0.0, captured_prior=0.0))
+    assert level_m(candidate(), rules=none) == pytest.approx(
+        bounds_of([candidate().mixture], LEVELS)[0].horizontal_level_m
+    )
+    assert level_m(candidate(), 0.1) > 4.0 * 0.1  # 1e-7 / 1.2e-3 of Rayleigh's: 4.3 σ
+
+
+def test_a_shifted_map_counts_alone_only_for_what_the_map_gives():
+    likely = replace(LEVELS, common_fault=replace(FAULTS, map_shift_prior=1e-4, map_shift_sigma_m=2.0))
+    of_fixes, of_map = (level_m(candidate(source), 0.1, likely) for source in ("rtk", "scan_match"))
+    assert of_fixes < 2.0 < of_map
+
+
+def test_the_weights_make_one_and_the_height_is_that_of_the_road():
+    for source in ("rtk", "sensors"):
+        bounded = with_common_fault(candidate(source, east_m=0.4), pose(independent=independent()), LEVELS)
+        assert sum(part.weight for part in bounded.mixture.parts) == pytest.approx(1.0)
+        last = bounded.mixture.parts[-1]
+        assert last.mean_m == pytest.approx((0.4, 0.0, 0.1), abs=1e-3)
+        assert last.up_m2 == pytest.approx(0.01 + LEVELS.changed_road_sigma_m**2)
+
+
+def test_without_an_independent_position_there_is_nothing_to_bound_by():
+    assert with_common_fault(candidate(), None, LEVELS) is None
+    assert with_common_fault(candidate(), pose(), LEVELS) is None
+
+
+# --- positions ---------------------------------------------------------------------------------------------------
+
+
+def positions_of(the_pose, rules=RULES, the_fix=None):
+    judge = SettlingJudge(rules)
+    judge.latest.add_pose(the_pose)
+    judge.latest.set_antenna_height(antenna())
+    judgement = replace(judge.examine(the_fix or fix(), ALL), verdict="confirmed")
+    inputs = EpochInputs(pose=the_pose, antenna=antenna(), alive=ALL)
+    output = PositionOutput(rules)
+    return output.confirmed(judgement, 0.0, inputs), output.at(at(0), inputs, 0.0)
+
+
+MATCHED = {"mode": "scan_match", "provenance": "scan_match"}
+
+
+def test_no_position_vouches_for_itself():
+    for position in positions_of(pose(**MATCHED)):
+        assert (position.usable, position.reason) == (False, "no_independent_position")
+        assert position.horizontal_protection_level_m is None
+        assert position.vertical_protection_level_m is not None
+        assert position.semi_major_99_m is not None
+        assert position.horizontal_reference == "required"
+
+
+def test_with_an_independent_position_it_is_usable_as_long_as_that_is_narrow():
+    for position in positions_of(pose(**MATCHED, independent=independent(sigma_m=0.1))):
+        assert (position.usable, position.reason) == (True, "none")
+    for position in positions_of(pose(**MATCHED, independent=independent(sigma_m=1.0))):
+        assert position.horizontal_protection_level_m > position.alert_limit_m
+        assert not position.usable
+
+
+def test_the_same_position_under_the_assumption_says_so():
+    assumed = replace(RULES, horizontal_reference="assumed")
+    for with_it, without in zip(
+        positions_of(pose(**MATCHED, independent=independent(sigma_m=9.0)), assumed),
+        positions_of(pose(**MATCHED), assumed),
+        strict=True,
+    ):
+        assert with_it == without
+        assert with_it.usable
+        assert with_it.horizontal_reference == "assumed"
+
+
+def test_a_pose_too_old_gives_no_reference():
+    old = pose(**MATCHED, independent=independent())
+    output = PositionOutput(RULES)
+    judge = SettlingJudge(RULES)
+    judge.latest.add_pose(old)
+    judge.latest.set_antenna_height(antenna())
+    judgement = replace(judge.examine(fix(), ALL), verdict="confirmed")
+    position = output.confirmed(
+        judgement, 0.0, EpochInputs(pose=pose(-5, **MATCHED), antenna=antenna(), alive=ALL)
+    )
+    assert position.reason == "no_independent_position"
