@@ -12,6 +12,8 @@ from camber.compiled.decorator import compiled
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats
 
+_HILL_WAVES = 24  # chosen: no direction and no length without one
+
 
 class Terrain(NamedTuple):
     """Ellipsoidal height of the ground over east and north of the world frame.
@@ -65,3 +67,23 @@ def rolling_terrain(
     towards = number * np.cos(direction), number * np.sin(direction)
     waves = np.column_stack((slope / 3.0 / number, *towards, rng.uniform(0.0, 2.0 * math.pi, 3)))
     return Terrain(base_m, waves, np.array(hills, np.float64).reshape(-1, 5))
+
+
+def hilly_terrain(seed: int, *, base_m: float, slope: float) -> Terrain:
+    """Hills whose slope along any direction has this root mean square: 24 waves of 100 to 1,000 m in drawn directions.
+
+    Slopes of a wave go with the root of its length, so long hills are higher and short ones gentler: at 3.5 % each wave
+    alone has a radius of crests of 2 km and more, as roads for 60 km/h are built (AASHTO, A Policy on
+    Geometric Design of Highways and Streets, table 3-35: K of 11 m per per cent, 1.1 km).
+    """
+    rng = stream(seed, "hills")
+    length_m = np.exp(rng.uniform(math.log(100.0), math.log(1000.0), _HILL_WAVES))
+    direction = math.pi * (np.arange(_HILL_WAVES) + rng.random(_HILL_WAVES)) / _HILL_WAVES
+    rng.shuffle(direction)
+    number = 2.0 * math.pi / length_m
+    steepest = np.sqrt(length_m)
+    # A wave's slope along a direction is steepest · cos(angle) · cos(phase): a quarter of its square on average.
+    steepest *= slope / math.sqrt(float(np.sum(steepest**2)) / 4.0)
+    towards = number * np.cos(direction), number * np.sin(direction)
+    waves = np.column_stack((steepest / number, *towards, rng.uniform(0.0, 2.0 * math.pi, _HILL_WAVES)))
+    return Terrain(base_m, waves, np.zeros((0, 5)))
