@@ -41,6 +41,9 @@ TOOL_GROUPS = {
         "evidence": Command(
             "camber.validation.evidence.command", "run the benchmark drives, write docs/evidence.md"
         ),
+        "common-faults": Command(
+            "camber.validation.common_faults.command", "drives whose fixes are all off by one vector"
+        ),
     },
     "maps and fleet": {
         "map": Command("camber.tools.maps.command", "build, inspect, diff and export map releases"),
