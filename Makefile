@@ -15,7 +15,7 @@ SHIPPED := engine,localizer,map,fleet,plots,web,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation faults soak hostile golden docs image sbom licences vulnerabilities clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation promises faults soak hostile golden docs image sbom licences vulnerabilities clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -26,6 +26,7 @@ help:
 	@echo "make evidence  drives through all services, and docs/evidence.md; the recording needs CAMBER_DATA; an hour"
 	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
 	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; an hour and a half, MODULE=learning some minutes"
+	@echo "make promises  each safety promise broken in a copy of the sources, which its test must notice; ten minutes"
 	@echo "make faults  outages as long as they are promised for, links cut for ten minutes among them; half an hour, as root"
 	@echo "make soak    two hours of driving in real time: memory, descriptors, threads, latency; SOAK_MINUTES=5 for less"
 	@echo "make hostile  a million malformed messages to every input of a driving vehicle; HOSTILE_COUNT=20000 for less"
@@ -116,6 +117,9 @@ fuzz: setup
 
 mutation: setup .venv/.mutation
 	PYTHONPATH=tests $(BIN)/python -m mutation.run $(if $(MODULE),--only $(MODULE)) --out $(OUT)/mutation
+
+promises: compile
+	PYTHONPATH=tests $(BIN)/python -m mutation.promises
 
 faults: compile
 	rm -f $(OUT)/faults/recovery.jsonl

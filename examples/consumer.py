@@ -25,7 +25,8 @@ def line(position: Position) -> str:
     if not position.usable or position.latitude_rad is None or position.longitude_rad is None:
         return f"unknown ({position.reason})"
     latitude, longitude = math.degrees(position.latitude_rad), math.degrees(position.longitude_rad)
-    return f"{latitude:.8f} {longitude:.8f} within {position.semi_major_999_m:.2f} m by {position.source}"
+    level_m = position.horizontal_protection_level_m  # what is usable has one
+    return f"{latitude:.8f} {longitude:.8f} within {level_m:.2f} m by {position.source}"
 
 
 def main() -> None:

@@ -253,7 +253,7 @@ def _damaged(good: bytes, rng: random.Random, other: Path) -> bytes:
 
 
 def test_every_bit_of_the_root_is_covered_by_the_signature(tmp_path: Path) -> None:
-    write(tmp_path, [surface(1)], signing_key=KEY)
+    root = write(tmp_path, [surface(1)], signing_key=KEY)
     path = tmp_path / ROOT_NAME
     good, want = path.read_bytes(), content(read_release(tmp_path))
     for bit in range(8 * len(good)):
@@ -261,9 +261,11 @@ def test_every_bit_of_the_root_is_covered_by_the_signature(tmp_path: Path) -> No
         bad[bit // 8] ^= 1 << bit % 8
         path.write_bytes(bad)
         try:
-            assert content(open_release(tmp_path, public_key=KEY.public_key())) == want
+            release = open_release(tmp_path, public_key=KEY.public_key())
         except ReleaseError:
             continue
+        assert release.root == root  # its version and time, too
+        assert content(release) == want
 
 
 def test_missing_files_folders_and_pipes_are_refused(tmp_path: Path) -> None:

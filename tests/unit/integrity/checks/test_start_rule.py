@@ -42,6 +42,13 @@ def test_five_within_too_short_a_time_are_not():
     assert not count.enough(RULES)
 
 
+@pytest.mark.parametrize(("fixes", "enough"), [(4, False), (5, True)])
+def test_however_long_a_few_take_they_are_not_enough(fixes, enough):
+    count = count_after([fix(1.5 * k) for k in range(fixes)])
+    assert at(1.5 * (fixes - 1)) - at(0) > RULES.duration_s * 1e9
+    assert count.enough(RULES) is enough
+
+
 @pytest.mark.parametrize(
     "odd",
     [

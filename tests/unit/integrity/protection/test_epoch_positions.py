@@ -558,6 +558,17 @@ def test_too_wide_a_pose_is_there_but_not_usable_and_says_why():
     assert (low.usable, low.reason) == (False, "height_unverified")
 
 
+@exactly
+@given(sigma, st.sampled_from([0.05, 0.5, 0.8, 2.0]))
+def test_usable_is_what_has_both_levels_below_their_limits_and_nothing_else(s, vertical_limit_m):
+    result = of_pose(pose(sigma_m=s, **MATCHED), levels=LevelRules(vertical_alert_limit_m=vertical_limit_m))
+    levels = result.horizontal_protection_level_m, result.vertical_protection_level_m
+    limits = result.alert_limit_m, result.vertical_alert_limit_m
+    assert result.usable is all(
+        level_m is not None and level_m < limit_m for level_m, limit_m in zip(levels, limits, strict=True)
+    )
+
+
 def test_no_risk_to_spend_means_no_level():
     result = of_pose(pose(**MATCHED), levels=LevelRules(pose_fault_prior=1e-7))
     assert result.horizontal_protection_level_m is None
@@ -595,9 +606,9 @@ def test_a_fix_that_agrees_wholly_is_never_surer_by_a_blunter_pose_or_claim(s, m
 @given(
     st.sampled_from(["none", "provisional", "anchored", "dead_reckoning", "scan_match"]),
     st.sampled_from(["none", "fixes", "given", "confirmed", "scan_match"]),
-    st.floats(-3.0, 3.0),
-    st.booleans(),
-    st.booleans(),
+    st.one_of(st.just(0.0), st.floats(-3.0, 3.0)),  # most draws of any age alone are stale
+    st.sampled_from([True, True, True, False]),
+    st.sampled_from([True, True, True, False]),
 )
 def test_stale_missing_or_provisional_is_never_usable(mode, provenance, age, with_antenna, with_road):
     changes = {} if with_road else {"road": road(status="unknown", reason="no_surface")}
