@@ -63,12 +63,12 @@ def promise_tables(path: Path) -> str:
     tables = []
     for letter, heading in SUBJECTS.items():
         rows = [_row(promise) for promise in promises if promise.name.startswith(letter)]
-        head = ["| | promise | kept by | shown by |", "|---|---|---|---|"]
+        head = ["| | promise | kept by | test_… |", "|---|---|---|---|"]
         tables.append("\n".join([f"## {heading}", "", *head, *rows]))
     return "\n\n".join(tables)
 
 
 def _row(promise: Promise) -> str:
-    """The first places only: all stand in the file."""
+    """The first places only, in short: all stand in the file."""
     code, test = (places[0].split("::")[1] for places in (promise.code, promise.tests))
-    return f"| {promise.name} | {promise.promise} | `{code}` | `{test}` |"
+    return f"| {promise.name} | {promise.promise} | `{code.split('.')[-1]}` | {test.removeprefix('test_')} |"
