@@ -13,6 +13,7 @@ from camber.schemas.base import Int64
 from camber.schemas.integrity import Position, Verdict
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.common_faults.fault_cases import CommonFault
+from camber.validation.common_faults.independent_figures import independent_figures
 from camber.validation.protection import positions_by_epoch
 from camber.validation.reference_trajectory import truth_of
 
@@ -35,6 +36,7 @@ def outcome(drive: FaultDrive, output: DriveOutput, fault: CommonFault) -> dict[
         **_fixes(drive, verdicts),
         **_positions(drive, output, onset_ns),
         **_naming(verdicts, output, onset_ns),
+        **independent_figures(drive, output, least_driven_m=_WARM_UP_M),
     }
 
 

@@ -21,7 +21,7 @@ PARTS: tuple[Part, ...] = get_args(Part)
 REFERENCES: tuple[HorizontalReference, ...] = get_args(HorizontalReference)
 _SETTING = "horizontal_reference"
 _FIRST_EPISODE_S = 60.0  # chosen: from then on the vehicle drives
-_CHANNELS = ("verdict", "position")
+_CHANNELS = ("verdict", "position", "pose")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +62,7 @@ def _outcome_of_episodes(
 ) -> dict[str, Any]:
     episodes = wrong_episodes(setting.seed, first_s=_FIRST_EPISODE_S, lasts_s=setting.lasts_s)
     drive = fault_drive(setting, fault, folder / "drive", errors=STREET, episodes=episodes)
-    channels = (*_CHANNELS, "pose")
-    output = replay_in_one_process(drive.inputs, folder, settings=_settings(reference), channels=channels)
+    output = replay_in_one_process(drive.inputs, folder, settings=_settings(reference), channels=_CHANNELS)
     return outcome(drive, output, fault) | recovery(drive, output, episodes)
 
 
