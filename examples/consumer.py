@@ -26,7 +26,8 @@ def line(position: Position) -> str:
         return f"unknown ({position.reason})"
     latitude, longitude = math.degrees(position.latitude_rad), math.degrees(position.longitude_rad)
     level_m = position.horizontal_protection_level_m  # what is usable has one
-    return f"{latitude:.8f} {longitude:.8f} within {level_m:.2f} m by {position.source}"
+    assumed = ", if base and signals are honest" if position.horizontal_reference == "assumed" else ""
+    return f"{latitude:.8f} {longitude:.8f} within {level_m:.2f} m by {position.source}{assumed}"
 
 
 def main() -> None:
