@@ -25,9 +25,10 @@ from camber.simulator.fleet import (
     track_of,
     vehicles_of,
 )
+from camber.simulator.output.fleet_folder import FLEET_SURVEY
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.simulated_drive import district_of
-from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
+from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, write_survey
 
 Floats = NDArray[np.float64]
 DAY_NS = 86_400 * 10**9
@@ -75,9 +76,7 @@ def world_of(seed: int, *overrides: str) -> FleetWorld:
     scenario = load_scenario("fleet", [f"seed={seed}", *overrides])
     district = district_of(scenario)
     with tempfile.TemporaryDirectory() as folder:
-        write_survey(
-            Path(folder), district, scenario.start_ns - SURVEYED_BEFORE_NS, SurveyErrors(clouds=False)
-        )
+        write_survey(Path(folder), district, scenario.start_ns - SURVEYED_BEFORE_NS, FLEET_SURVEY)
         release = read_release(Path(folder))
         surfaces = release.road_surfaces()
         the_map = ElevationMap(release.surface_tile, release.link_tile, datum=DATUM, map_version=1)

@@ -10,6 +10,7 @@ import numpy as np
 
 from camber.integrity.learning.height_correction import Learning
 from camber.integrity.learning.residuals import FixResidual, ReferenceKey
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 
 START_NS = 1_400_000_000 * 1_000_000_000
 SPEED_M_S, RATE_HZ, SURFACE_M, LINK_M = 10.0, 10, 50.0, 200.0
@@ -54,7 +55,7 @@ class Noise:
     """What a drive's differences are made of besides its offset."""
 
     map_sigma_m: float = 0.05
-    correlation_m: float = 20.0
+    map_errors: MapErrorModel = MAP_ERRORS
     wrong: float = 0.05
     wrong_s: float = 1.0
     gate_m: float = 0.3
@@ -68,8 +69,9 @@ def drive(
     Wrong fixes come in episodes and lie anywhere; what is within the gate is confirmed, wrong ones too.
     """
     rng, n = np.random.default_rng(seed), int(seconds * RATE_HZ)
-    memory = np.exp(-SPEED_M_S / RATE_HZ / noise.correlation_m)
-    up_m = offset_m + drift_m_s * np.arange(n) / RATE_HZ - gauss_markov(rng, n, noise.map_sigma_m, memory)
+    driven_m = SPEED_M_S / RATE_HZ * np.arange(n)
+    up_m = offset_m + drift_m_s * np.arange(n) / RATE_HZ
+    up_m -= noise.map_errors.simulate(driven_m, noise.map_sigma_m, rng)
     up_m += rng.normal(0.0, 0.01, n)
     for begin, length in _episodes(rng, n, noise):
         up_m[begin : begin + length] += rng.normal(0.0, 0.5)

@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.integrity import HorizontalReference
+from camber.schemas.map_errors import COMMON_OFFSET_SIGMA_M, LONG_M, SHORT_M, SHORT_SHARE
 from camber.schemas.motion import LeverArm
 from camber.schemas.toml_file import FileError, Overrides, load_toml
 
@@ -245,9 +246,20 @@ class Surrogates(Model):
         2.7, description="wheelbase of the bicycle model that steering is made with, metres"
     )
     link_deviation_m: float = _error(3.0, "how far links run off the track at most, metres", most=50.0)
-    map_sigma_m: float = _error(0.05, "standard deviation of the road's elevation, metres", most=10.0)
-    map_correlation_m: float = _error(
-        20.0, "distance over which that error falls to 1/e, metres", most=100_000.0
+    map_sigma_m: float = _error(
+        0.05, "standard deviation of the road's elevation along the road, metres", most=10.0
+    )
+    map_short_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        SHORT_SHARE, description="share of the short part in the variance of that error"
+    )
+    map_short_m: Annotated[float, Field(gt=0.0, le=100_000.0)] = Field(
+        SHORT_M, description="correlation length of the short part (first-order Gauss–Markov), metres"
+    )
+    map_long_m: float = _error(
+        LONG_M, "correlation length of the long part (second-order Gauss–Markov), metres", most=100_000.0
+    )
+    map_common_offset_sigma_m: float = _error(
+        COMMON_OFFSET_SIGMA_M, "standard deviation of what all elevations have in common, metres", most=10.0
     )
     antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
         None,
@@ -413,7 +425,10 @@ class DriveManifest(Model):
             "yaw_rate": f"bias {degrees['yaw_rate_bias_sigma_rad_s']}, noise {degrees['yaw_rate_noise_rad_s']} °/s",
             "steering": f"bias {degrees['steering_bias_sigma_rad']}, noise {degrees['steering_noise_rad']}°",
             "links": f"up to {e.link_deviation_m:g} m off the track",
-            "road_surfaces": f"noise {e.map_sigma_m:g} m, correlated over {e.map_correlation_m:g} m",
+            "road_surfaces": (
+                f"noise {e.map_sigma_m:g} m, correlated over {e.map_short_m:g} m ({e.map_short_share:.3g} of its "
+                f"variance) and {e.map_long_m:g} m, common offset of σ {e.map_common_offset_sigma_m:g} m"
+            ),
             "initial_pose": f"off by {e.initial_pose_sigma_m:g} m, {degrees['initial_yaw_sigma_rad']}°",
         }
         notes = [f"{name}: made from the truth, {how[name]} (seed {e.seed})" for name in e.inputs]

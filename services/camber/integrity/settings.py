@@ -20,6 +20,7 @@ P = TypeVar("P")
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Length = Annotated[float, Field(gt=0.0, le=100_000.0)]
 AtLeastOne = Annotated[float, Field(ge=1.0)]
 
 
@@ -162,9 +163,18 @@ class IntegritySettings(ServiceSettings):
     learning_rate_m_s: Positive = _sets(
         "learning.rate_m_s", "largest rate of change of the correction, where learning is per_cause"
     )
-    map_correlation_m: Positive = _sets(
-        "learning.correlation_m",
-        "correlation length of the map's height error (fall to 1/e)",
+    map_short_share: Probability = _sets(
+        "learning.map_errors.short_share", "share of the short part in the variance of the map's height error"
+    )
+    map_short_m: Length = _sets(
+        "learning.map_errors.short_m", "correlation length of the short part (first-order Gauss–Markov)"
+    )
+    map_long_m: Length = _sets(
+        "learning.map_errors.long_m", "correlation length of the long part (second-order Gauss–Markov)"
+    )
+    map_common_offset_sigma_m: NotNegative = _sets(
+        "learning.map_errors.common_offset_sigma_m",
+        "σ of what all heights of a survey have in common, which is learnt with the correction",
     )
     series_gap_s: Positive = _sets("series.longest_gap_s", "longest time between two fixes of a time series")
     series_chain: int = _sets(

@@ -254,7 +254,8 @@ def write_map(
 def _how_made(errors: Surrogates) -> str:
     return (
         f"made from the drive's own truth, seed {errors.seed}: heights with {errors.map_sigma_m:g} m of noise "
-        f"(correlation {errors.map_correlation_m:g} m), links up to {errors.link_deviation_m:g} m off, no crossfall"
+        f"(correlation {errors.map_short_m:g} m and {errors.map_long_m:g} m, common offset of σ "
+        f"{errors.map_common_offset_sigma_m:g} m), links up to {errors.link_deviation_m:g} m off, no crossfall"
     )
 
 

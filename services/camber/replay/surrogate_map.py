@@ -1,4 +1,4 @@
-"""Roads of a map, made from where a drive went: surfaces with correlated survey noise, links that are coarse.
+"""Roads of a map, made from where a drive went: surfaces with a survey's errors, links that are coarse.
 
 Made from truth, so the map knows only roads that were driven, each with its height along the track and no
 crossfall. One place and level has ONE height: that of the nearest first-pass track. Antenna height is taken off
@@ -14,8 +14,8 @@ from camber.formats.drive.truth_csv import TruthTable
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.coarse_links import PlaneLinks, coarse_links
 from camber.replay.road_lines import BEYOND_END_M, OTHER_LEVEL_M, SPACING_M, WIDTH_M, RoadLines, road_lines
-from camber.replay.surrogates import correlated_noise
 from camber.replay.truth_interpolation import plane_of
+from camber.road_map.map_error_model import MapErrorModel
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import Surrogates
@@ -47,14 +47,18 @@ def make_map(
 
 def _noisy_heights(lines: RoadLines, errors: Surrogates) -> Float64:
     """Heights of all samples as surveyed: noise along new road; a covered sample has its first pass's."""
+    model = MapErrorModel(
+        short_share=errors.map_short_share,
+        short_m=errors.map_short_m,
+        long_m=errors.map_long_m,
+        common_offset_sigma_m=errors.map_common_offset_sigma_m,
+    )
     new = np.flatnonzero(lines.same_as == np.arange(len(lines.same_as)))
     noise_m = np.zeros(len(lines.height_m))
-    noise_m[new] = correlated_noise(
-        lines.distance_m[new],
-        errors.map_sigma_m,
-        errors.map_correlation_m,
-        stream(errors.seed, "map heights"),
+    noise_m[new] = model.simulate(
+        lines.distance_m[new], errors.map_sigma_m, stream(errors.seed, "map heights")
     )
+    noise_m[new] += model.common_offset(stream(errors.seed, "map offset"))
     surveyed: Float64 = (lines.height_m + noise_m)[lines.same_as]
     return surveyed
 

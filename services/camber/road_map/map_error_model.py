@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.schemas.map_errors import COMMON_OFFSET_SIGMA_M, LONG_M, SHORT_M, SHORT_SHARE
+
 Floats = NDArray[np.float64]
 
 STATES = 3
@@ -38,10 +40,10 @@ class MapErrorModel:
     longer correlation makes fewer independent observations), the offset is the one that was measured.
     """
 
-    short_share: float = 0.07
-    short_m: float = 40.0
-    long_m: float = 100.0
-    common_offset_sigma_m: float = 0.04
+    short_share: float = SHORT_SHARE
+    short_m: float = SHORT_M
+    long_m: float = LONG_M
+    common_offset_sigma_m: float = COMMON_OFFSET_SIGMA_M
 
     def __post_init__(self) -> None:
         """Raise ValueError for values that are no model."""
@@ -80,7 +82,7 @@ class MapErrorModel:
 
     def transition(self, step_m: float) -> Floats:
         """Transition (3, 3) of the state over `step_m` of driving, of either sign."""
-        return np.asarray(_transitions(self, np.array([abs(step_m)]))[0])
+        return np.asarray(state_transitions(self, np.array([abs(step_m)]))[0])
 
     def process_noise(self, step_m: float) -> Floats:
         """Covariance (3, 3) of what is new after `step_m`, for an error of unit variance; times σ² for σ."""
@@ -96,7 +98,7 @@ class MapErrorModel:
         if not len(white):
             return np.zeros(0)
         step_m = np.diff(distance_m)
-        transitions, factors = _transitions(self, step_m), process_noise_factors(self, step_m)
+        transitions, factors = state_transitions(self, step_m), process_noise_factors(self, step_m)
         state = np.sqrt(np.diag(self.stationary_covariance)) * white[0]
         states = np.empty_like(white)
         states[0] = state
@@ -145,8 +147,8 @@ def _series(a: Floats) -> Floats:
     return np.asarray(np.minimum(a, _SERIES_BELOW)[:, None] ** (k + 3.0) @ weights)
 
 
-def _transitions(model: MapErrorModel, step_m: Floats) -> Floats:
-    """(n, 3, 3) over steps (n,) [m] ≥ 0."""
+def state_transitions(model: MapErrorModel, step_m: Floats) -> Floats:
+    """Transitions (n, 3, 3) of the state over steps (n,) [m] ≥ 0."""
     a = step_m / model.long_m
     fade = np.exp(-a)
     transitions = np.zeros((len(a), STATES, STATES))

@@ -262,8 +262,8 @@ def test_after_the_clock_was_set_back_the_judge_goes_on():
     assert drive.judge.last_fix_ns is None
     assert drive.epoch(0).confirmed
     assert (
-        drive.epoch(1, fix(1, up_m=0.45)).verdict == "erroneous"
-    )  # the chain of later fixes is forgotten: height + 0.45
+        drive.epoch(1, fix(1, up_m=0.5)).verdict == "erroneous"
+    )  # the chain of later fixes is forgotten: height + 0.5
 
 
 def test_what_is_current_is_not_forgotten():

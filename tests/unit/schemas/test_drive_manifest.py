@@ -92,7 +92,7 @@ def test_summary_names_what_was_made_and_not_measured(folder: Path) -> None:
     manifest = load(folder)
     summary = manifest.summary()
     assert summary["surrogates"] == ["wheel_speed", "yaw_rate", "links", "road_surfaces"]
-    assert summary["surrogate_errors"]["map_correlation_m"] == 20.0
+    assert summary["surrogate_errors"]["map_long_m"] == 100.0
     assert str(folder) not in str(summary)
     assert [note.split(":")[0] for note in manifest.surrogate_notes()] == summary["surrogates"]
 

@@ -1,18 +1,22 @@
 """What the height differences of many stretches of road have in common, and whether that drifts.
 
-The map's error at two places is alike by exp(−distance / correlation length) (Gauss–Markov): driving the same street
-twice adds nothing. So the estimate is generalised least squares with the full covariance of the differences. Those far
-from the rest (a changed road, a wrong fix that lasted) are left out: the median finds the rest while they are fewer.
+The map's errors at two places are correlated (`camber.road_map.map_error_model`): driving the same street twice adds
+nothing, and a survey's common offset is part of the value. So the estimate is generalised least squares with the full
+covariance of the differences. Those far from the rest (a changed road, a wrong fix that lasted) are left out: the
+median finds the rest while they are fewer.
 
 numpy only. Arrays (n,), metres and seconds.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+
+from camber.road_map.map_error_model import MapErrorModel
 
 Floats = NDArray[np.float64]
 
@@ -37,11 +41,9 @@ class HeightDifferences:
         """Some of them."""
         return HeightDifferences(**{each.name: getattr(self, each.name)[kept] for each in fields(self)})
 
-    def covariance_m2(self, correlation_m: float) -> Floats:
+    def covariance_m2(self, map_errors: MapErrorModel) -> Floats:
         """(n, n) of the differences, if they have one value in common."""
-        gap_m = np.linalg.norm(self.place_m[:, None, :] - self.place_m[None, :, :], axis=2)
-        alike: Floats = np.outer(self.map_sigma_m, self.map_sigma_m) * np.exp(-gap_m / correlation_m)
-        return alike + np.diag(self.variance_m2)
+        return map_errors.covariance_m2(self.place_m, self.map_sigma_m) + np.diag(self.variance_m2)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,12 +61,12 @@ class CommonOffset:
 
 
 def estimate_common_offset(
-    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
+    differences: HeightDifferences, map_errors: MapErrorModel, prior_m: float, prior_sigma_m: float
 ) -> CommonOffset:
     """The common part of at least one difference."""
-    kept = differences.only(_rest(differences, correlation_m, prior_m, prior_sigma_m))
-    value_m, precision, information = _estimate(kept, correlation_m, prior_m, prior_sigma_m)
-    slope, slope_sigma, span_s = _slope(kept, correlation_m)
+    kept = differences.only(_rest(differences, map_errors, prior_m, prior_sigma_m))
+    value_m, precision, information = _estimate(kept, map_errors, prior_m, prior_sigma_m)
+    slope, slope_sigma, span_s = _slope(kept, map_errors)
     return CommonOffset(
         value_m=value_m,
         sigma_m=float(np.sqrt(information)) / precision,
@@ -75,7 +77,7 @@ def estimate_common_offset(
 
 
 def _rest(
-    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
+    differences: HeightDifferences, map_errors: MapErrorModel, prior_m: float, prior_sigma_m: float
 ) -> NDArray[np.bool_]:
     """Which agree with one another; the prior has a voice, so that it takes two to outvote it.
 
@@ -91,36 +93,39 @@ def _rest(
         spread_m = _OUTLIER * np.clip(seen * sigma_m, differences.map_sigma_m, sigma_m)
     kept = np.abs(differences.up_m - centre_m) <= spread_m
     for _ in range(_ROUNDS):
-        centre_m = _estimate(differences.only(kept), correlation_m, prior_m, prior_sigma_m)[0]
+        centre_m = _estimate(differences.only(kept), map_errors, prior_m, prior_sigma_m)[0]
         kept = np.abs(differences.up_m - centre_m) <= spread_m
     return kept
 
 
 def _estimate(
-    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
+    differences: HeightDifferences, map_errors: MapErrorModel, prior_m: float, prior_sigma_m: float
 ) -> tuple[float, float, float]:
     """Value, its inverse variance, and the part of that which is the data's."""
     ones = np.ones(len(differences.up_m))
-    weights = np.linalg.solve(differences.covariance_m2(correlation_m), ones)
+    weights = np.linalg.solve(differences.covariance_m2(map_errors), ones)
     information = float(weights.sum())
     precision = information + prior_sigma_m**-2
     value_m = (float(weights @ differences.up_m) + prior_m * prior_sigma_m**-2) / precision
     return value_m, precision, information
 
 
-def _slope(differences: HeightDifferences, correlation_m: float) -> tuple[float, float, float]:
+def _slope(differences: HeightDifferences, map_errors: MapErrorModel) -> tuple[float, float, float]:
     """Change a second, its σ (0: not known), and the time between first and last."""
     n = len(differences.up_m)
     span_s = float(np.ptp(differences.time_s)) if n else 0.0
     if n < 4 or not span_s > 0.0:
         return 0.0, 0.0, span_s
     design = np.column_stack((np.ones(n), (differences.time_s - differences.time_s.mean()) / span_s))
-    covariance_m2 = differences.covariance_m2(correlation_m)
+    covariance_m2 = differences.covariance_m2(map_errors)
     whitened = np.linalg.solve(covariance_m2, design)
     normal = np.linalg.inv(design.T @ whitened)
     level, slope = normal @ (whitened.T @ differences.up_m)
     left_m = differences.up_m - design @ (level, slope)
-    # The σ given are rather too large, and a drift must not hide in what they leave room for.
+    # The σ of fixes are rather too large, and a drift must not hide in what they leave room for. The map's errors are
+    # as large as stated, and where they are alike over hundreds of metres the scatter about a line does not show them.
     scatter = float(left_m @ np.linalg.solve(covariance_m2, left_m)) / (n - 2)
-    slope_sigma = np.sqrt(normal[1, 1] * min(max(scatter, _LEAST_SCATTER), 1.0))
-    return float(slope) / span_s, float(slope_sigma) / span_s, span_s
+    excess = 1.0 - min(max(scatter, _LEAST_SCATTER), 1.0)
+    weights = whitened @ normal[:, 1]
+    slope_m2 = normal[1, 1] - excess * float(weights**2 @ differences.variance_m2)
+    return float(slope) / span_s, math.sqrt(slope_m2) / span_s, span_s

@@ -25,6 +25,7 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
 from camber.integrity.learning.offset_causes import CauseRules, Diagnosis, OffsetCauses, RoadChange
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ReferenceKey, ResidualCell
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 
 Mode = Literal["per_cause", "document"]
 _MOST_CELLS = 96  # chosen: some 2 km in cells of 20 m, many times the correlation length of the map's error
@@ -37,7 +38,7 @@ _LEAST_SIGMA_M = 0.01  # of a stretch: no fix is better, whatever it claims
 class LearningRules:
     """Gain `g` of (5) for the document's mode; lower edge of the speeds at which is learnt; cap of `h_e`; mode.
 
-    Of ours: `rate_m_s`, at most by which it changes; `correlation_m` of the map's error along the road;
+    Of ours: `rate_m_s`, at most by which it changes; `map_errors`, the model of the map's height errors;
     `prior_sigma_m` of the antenna's height as it was measured; `release_sigma_m`, by which a new map or base may have
     moved it; a drift of `drift_sigmas` and `drift_m` over the memory is not learnt.
     """
@@ -47,7 +48,7 @@ class LearningRules:
     cap_m: float = 0.3
     mode: Mode = "per_cause"
     rate_m_s: float = 0.003
-    correlation_m: float = 20.0
+    map_errors: MapErrorModel = MAP_ERRORS
     prior_sigma_m: float = 0.1
     release_sigma_m: float = 0.05
     drift_sigmas: float = 3.5
@@ -166,7 +167,7 @@ class Learning:
         if _may_be_the_road(self.causes.common):
             return
         result = estimate_common_offset(
-            _differences(part.cells), self.rules.correlation_m, part.prior_m, part.prior_sigma_m
+            _differences(part.cells), self.rules.map_errors, part.prior_m, part.prior_sigma_m
         )
         target_m = self._target_m(part, result)
         step_s = min(max((cell.end_ns - last_ns) / 1e9, 0.0), _LONGEST_STEP_S)
@@ -241,7 +242,7 @@ class Learning:
             antenna=key.antenna,
             base=key.base,
             map_version=key.map_version,
-            prior_sigma_m=self.rules.prior_sigma_m,
+            prior_sigma_m=math.hypot(self.rules.prior_sigma_m, self.rules.map_errors.common_offset_sigma_m),
         )
         model = self._same_antenna(key)
         if model is not None:

@@ -9,11 +9,13 @@ changes.csv     by link: how much higher the road is than at its survey
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from camber.formats.drive.recording import Recorder
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.map_error_model import MAP_ERRORS
 from camber.road_map.release import read_release
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import encode
@@ -22,6 +24,10 @@ from camber.simulator.scenario import Scenario
 from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
+FLEET_SURVEY = SurveyErrors(clouds=False, height_errors=replace(MAP_ERRORS, common_offset_sigma_m=0.0))
+"""The survey is in the frame of the fleet's base stations. Another frame is a shift of whole regions, which fusion
+reports and does not publish."""
+
 
 def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
     """Write all of it, naming each vehicle when its uploads are written. OSError where a file cannot be."""
@@ -29,7 +35,7 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
     assert fleet is not None
     district = district_of(scenario)
     surveyed_ns = scenario.start_ns - SURVEYED_BEFORE_NS
-    write_survey(folder / "map", district, surveyed_ns, SurveyErrors(clouds=False))
+    write_survey(folder / "map", district, surveyed_ns, FLEET_SURVEY)
     release = read_release(folder / "map")
     version = release.manifest.map_version
     the_map = ElevationMap(release.surface_tile, release.link_tile, datum=DATUM, map_version=version)

@@ -15,6 +15,7 @@ import numpy as np
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.coarse_links import thinned
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 from camber.road_map.release import write_release
 from camber.road_map.road_columns import RoadLinks
 from camber.schemas.road import CloudTile, ReleaseRoot
@@ -42,7 +43,7 @@ class SurveyErrors:
     """
 
     height_sigma_m: float = 0.03
-    height_correlation_m: float = 20.0
+    height_errors: MapErrorModel = MAP_ERRORS
     link_deviation_m: float = 6.0
     scan_spacing_m: float = 5.0
     voxel_m: float = 0.10
@@ -64,10 +65,8 @@ def write_survey(
     faster. Raises ReleaseError and OSError as `write_release`, KeyError for a route that the district does not have.
     """
     errors, seed, roads = errors or SurveyErrors(), district.seed, district.roads("survey")
-    sigma_m, correlation_m = errors.height_sigma_m, errors.height_correlation_m
-    surfaces = surveyed_surfaces(
-        roads, district.frame, seed, sigma_m=sigma_m, correlation_m=correlation_m, seen_ns=time_ns
-    )
+    sigma_m, model = errors.height_sigma_m, errors.height_errors
+    surfaces = surveyed_surfaces(roads, district.frame, seed, sigma_m=sigma_m, model=model, seen_ns=time_ns)
     off_m = [errors.wrong_m.get(link, 0.0) for link in surfaces.link_id.tolist()]
     heights_m = [h + off for h, off in zip(surfaces.heights_m, off_m, strict=True)]
     clouds: list[CloudTile] = []
@@ -93,7 +92,8 @@ def write_survey(
         clouds=clouds,
         surrogate=(
             f"simulated survey of district {district.kind}, seed {seed}: heights with {sigma_m:g} m of "
-            f"noise (correlation {correlation_m:g} m), links up to {errors.link_deviation_m:g} m off"
+            f"noise (correlation {model.short_m:g} m and {model.long_m:g} m, common offset of σ "
+            f"{model.common_offset_sigma_m:g} m), links up to {errors.link_deviation_m:g} m off"
         ),
     )
 

@@ -1,7 +1,7 @@
 """Road surfaces of the map as a survey finds them: rectangles of a lane and some 20 m, with heights that err.
 
-The error is one smooth random field over the plane for each level, so surfaces that overlap agree with one another, as
-those of one survey do.
+The error is one random field over the plane for each level, so surfaces that overlap agree with one another, as those
+of one survey do, and one offset for all.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.map_error_model import MapErrorModel
 from camber.road_map.road_columns import RoadSurfaces
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats
@@ -30,13 +31,18 @@ _FIRST_NODE_ID = 1_000_000_000
 
 
 class ErrorField:
-    """A Gaussian random field over the plane, correlation exp(−(d / length)²), by random Fourier features.
+    """A Gaussian random field over the plane with a model's correlation along the road, by random Fourier features.
 
     Sum of cosines with drawn wave vectors (Rahimi & Recht 2007, "Random features for large-scale kernel machines").
+    The spectral density of Matérn's covariance, ∝ (1 / L² + |k|²)^(−ν − 1), is that of a normal vector divided by
+    L √χ² of 2ν degrees of freedom: one for the short part, three for the long one. The common offset is not in it.
     """
 
-    def __init__(self, sigma_m: float, correlation_m: float, rng: np.random.Generator) -> None:
-        self._wave = rng.standard_normal((_FEATURES, 2)) * math.sqrt(2.0) / correlation_m
+    def __init__(self, sigma_m: float, model: MapErrorModel, rng: np.random.Generator) -> None:
+        normal, chi2 = rng.standard_normal((_FEATURES, 2)), rng.standard_normal((_FEATURES, 3)) ** 2
+        is_short = (np.arange(_FEATURES) + 0.5) / _FEATURES < model.short_share
+        root = np.sqrt(np.where(is_short, chi2[:, 0], chi2.sum(axis=1)))
+        self._wave = normal / (np.where(is_short, model.short_m, model.long_m) * root)[:, None]
         self._phase = rng.uniform(0.0, 2.0 * math.pi, _FEATURES)
         self._size = sigma_m * math.sqrt(2.0 / _FEATURES)
 
@@ -67,11 +73,15 @@ class _Rectangle(NamedTuple):
 
 
 def surveyed_surfaces(
-    roads: Roads, frame: LocalFrame, seed: int, *, sigma_m: float, correlation_m: float, seen_ns: int
+    roads: Roads, frame: LocalFrame, seed: int, *, sigma_m: float, model: MapErrorModel, seen_ns: int
 ) -> RoadSurfaces:
-    """Surfaces of all links, a row for each lane, and of all junctions; `seen_ns` is when they were seen."""
+    """Surfaces of all links, a row for each lane, and of all junctions; `seen_ns` is when they were seen.
+
+    Their heights err by a field of σ `sigma_m` and by the common offset of the survey.
+    """
+    offset_m = model.common_offset(stream(seed, "survey offset"))
     fields = {
-        level: ErrorField(sigma_m, correlation_m, stream(seed, f"survey heights {level}"))
+        level: ErrorField(sigma_m, model, stream(seed, f"survey heights {level}"))
         for level in sorted(set(roads.level.tolist()) | set(roads.node_level.tolist()))
     }
     rows: list[_Rectangle] = []
@@ -108,7 +118,7 @@ def surveyed_surfaces(
         sigma_m=np.full(len(columns), sigma_m),
         vehicles=np.zeros(len(columns), np.int64),
         last_seen_ns=np.full(len(columns), seen_ns),
-        heights_m=heights_m,
+        heights_m=[heights + offset_m for heights in heights_m],
     )
 
 

@@ -28,6 +28,7 @@ from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pos
 from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, cell_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
+from camber.road_map.map_error_model import MAP_ERRORS
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 
@@ -40,8 +41,7 @@ _TUKEY = 4.685  # 95 % efficiency for normal errors (Beaton and Tukey, Technomet
 _LEAST_SCALE_M = 0.02  # chosen: noise of an RTK fix, keeps the scale above zero for noiseless data
 _LEAST_SIGMA_M = 0.005  # chosen: a few clusters estimate their scatter poorly
 _NEAR_S = 0.1  # chosen: the period of poses
-_MAP_CORRELATION_M = 20.0  # chosen: map heights of neighbouring stretches are taken as correlated
-_STRETCH_M = 20.0  # chosen: one mean height per correlation length
+_STRETCH_M = 20.0  # chosen: one mean height per stretch, half the shorter correlation length of map errors
 _LEAST_STRETCHES = 5  # chosen: 100 m of road
 _SIGMA_LIMIT_M = 0.3  # chosen: a less precise pose has hardly any weight
 _ANY_HEIGHT_M = 10.0  # chosen: σ of an uninformative prior of the antenna height
@@ -215,7 +215,7 @@ def estimate_antenna_height(cells: Sequence[ResidualCell]) -> CommonOffset | Non
         ),
         time_s=np.array([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known], np.float64),
     )
-    return estimate_common_offset(differences, _MAP_CORRELATION_M, float(np.median(up_m)), _ANY_HEIGHT_M)
+    return estimate_common_offset(differences, MAP_ERRORS, float(np.median(up_m)), _ANY_HEIGHT_M)
 
 
 def _nearest(poses: Sequence[Pose], times_ns: Sequence[int], at_ns: int) -> Pose | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
+from camber.road_map.map_error_model import process_noise_factors, state_transitions
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.error_model import ASSUMPTIONS, Assumptions, Scene
 
@@ -65,12 +66,17 @@ def episodes(
     slope: Floats = assumed.slope_sigma * rng.normal(size=(n, 2))
     constant = np.sqrt(assumed.constant_variance_m2) * rng.normal(size=(n, 3)) + faults.fix_m
     spread = np.asarray(np.linalg.cholesky(shapes.reflected_m2 + 1e-12 * np.eye(3)), np.float64)
+    step_m = speed / assumed.epochs_per_s
+    map_memory = state_transitions(assumed.map_errors, step_m)
+    map_gain = process_noise_factors(assumed.map_errors, step_m)
+    map_start: Floats = np.sqrt(np.diag(assumed.map_errors.stationary_covariance))
     difference, error, pose = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 2))
     _run(
-        first, lengths, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, speed, slope,
+        first, lengths, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, slope,
+        map_memory, map_gain, map_start,
         np.zeros((n, 2)) + faults.pose_m, np.zeros(n) + faults.height_m,
         scene.pose_sigma_m, scene.map_sigma_m, assumed.antenna_sigma_m,
-        assumed.pose_time_s, assumed.map_length_m, assumed.antenna_time_s, 1.0 / assumed.epochs_per_s, rng,
+        assumed.pose_time_s, assumed.antenna_time_s, 1.0 / assumed.epochs_per_s, rng,
         difference, error, pose,
     )  # fmt: skip
     return Episodes(
@@ -82,31 +88,39 @@ def episodes(
 @compiled
 def _run(
     first: Integers, length: Integers, shift: Floats, rate: Floats, constant: Floats, spread: Floats,
-    time_s: Floats, speed: Floats, slope: Floats, pose_fault: Floats, height_fault: Floats,
+    time_s: Floats, slope: Floats, map_memory: Floats, map_gain: Floats, map_start: Floats,
+    pose_fault: Floats, height_fault: Floats,
     pose_sigma: float, map_sigma: float, antenna_sigma: float,
-    pose_time_s: float, map_length_m: float, antenna_time_s: float, step_s: float, rng: np.random.Generator,
+    pose_time_s: float, antenna_time_s: float, step_s: float, rng: np.random.Generator,
     difference: Floats, error: Floats, pose_error: Floats,
 ) -> None:  # fmt: skip
     memory_pose, memory_antenna = np.exp(-step_s / pose_time_s), np.exp(-step_s / antenna_time_s)
     gain_pose, gain_antenna = np.sqrt(1.0 - memory_pose**2), np.sqrt(1.0 - memory_antenna**2)
     half = antenna_sigma * np.sqrt(0.5)
-    white, pose = np.zeros(3), np.zeros(2)
+    white, pose, road, before, new = np.zeros(3), np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(3)
     for k in range(first.size):
-        memory_fix, memory_map = np.exp(-step_s / time_s[k]), np.exp(-step_s * speed[k] / map_length_m)
-        gain_fix, gain_map = np.sqrt(1.0 - memory_fix**2), np.sqrt(1.0 - memory_map**2)
+        memory_fix = np.exp(-step_s / time_s[k])
+        gain_fix = np.sqrt(1.0 - memory_fix**2)
         for a in range(3):
             white[a] = rng.standard_normal()
         for a in range(2):
             pose[a] = rng.standard_normal()
-        road, antenna, fixed = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
+        for a in range(3):
+            road[a] = map_start[a] * rng.standard_normal()
+        antenna, fixed = rng.standard_normal(), rng.standard_normal()
         for at in range(length[k]):
             if at > 0:
                 for a in range(3):
                     white[a] = memory_fix * white[a] + gain_fix * rng.standard_normal()
                 for a in range(2):
                     pose[a] = memory_pose * pose[a] + gain_pose * rng.standard_normal()
-                if speed[k] > 0.0:
-                    road = memory_map * road + gain_map * rng.standard_normal()
+                if map_gain[k, 0, 0] > 0.0 or map_gain[k, 1, 1] > 0.0:
+                    for a in range(3):
+                        before[a], new[a] = road[a], rng.standard_normal()
+                    for a in range(3):
+                        road[a] = 0.0
+                        for b in range(3):
+                            road[a] += map_memory[k, a, b] * before[b] + map_gain[k, a, b] * new[b]
                 antenna = memory_antenna * antenna + gain_antenna * rng.standard_normal()
             row = first[k] + at
             for a in range(3):
@@ -122,7 +136,7 @@ def _run(
                 error[row, 2]
                 - slope[k, 0] * error[row, 0]
                 - slope[k, 1] * error[row, 1]
-                - map_sigma * road
+                - map_sigma * (road[0] + road[1])
                 - half * (antenna + fixed)
                 - height_fault[k]
             )

@@ -12,6 +12,7 @@ import numpy as np
 
 from camber.formats.observations import Floats
 from camber.integrity.rules import Rules
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +23,8 @@ class Assumptions:
     map, another for each vehicle, normal with a mean square of `reference_m`² in the plane and half of it upwards,
     constant in an episode; frame of base and map, `frame_sigma_m`. One vehicle is all that was measured, Nagoya's,
     whose reference point is 5.6 cm off horizontally and 4.5 cm low: others may be farther off, and no bound of it is
-    known. Map: over `map_length_m` of driving. A share `standing` of all episodes is of vehicles that stand, the
+    known. Map: two scales along the road (`camber.road_map.map_error_model`); what the common offset of a survey leaves
+    after it was learnt is in `reference_m`. A share `standing` of all episodes is of vehicles that stand, the
     others drive at 2 to 15 m/s. Antenna: half of its variance is constant, the other half dynamic. Slopes of roads,
     each axis.
     """
@@ -34,11 +36,20 @@ class Assumptions:
     reference_m: float = 0.06
     frame_sigma_m: float = 0.02
     pose_time_s: float = 10.0
-    map_length_m: float = 20.0
+    map_short_share: float = MAP_ERRORS.short_share
+    map_short_m: float = MAP_ERRORS.short_m
+    map_long_m: float = MAP_ERRORS.long_m
     standing: float = 0.25
     antenna_sigma_m: float = 0.02
     antenna_time_s: float = 1.5
     slope_sigma: float = 0.03
+
+    @property
+    def map_errors(self) -> MapErrorModel:
+        """The model of the map's error along the road."""
+        return MapErrorModel(
+            short_share=self.map_short_share, short_m=self.map_short_m, long_m=self.map_long_m
+        )
 
     @property
     def constant_variance_m2(self) -> float:

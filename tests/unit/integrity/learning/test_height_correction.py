@@ -12,10 +12,12 @@ from camber.integrity.learning.common_offset import CommonOffset
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules, _differences
 from camber.integrity.learning.offset_causes import NO_OFFSET, Diagnosis, OffsetCauses, RoadChange
 from camber.integrity.learning.residuals import ReferenceKey, cell_of
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
 
 RULES = LearningRules()
 BY_GAIN = LearningRules(mode="document")
+ONE_SCALE = MapErrorModel(short_share=1.0, short_m=20.0)
 
 
 def update(learning, first, last, **changes):
@@ -95,15 +97,22 @@ def test_a_place_that_is_none_is_left_out():
 
 
 @pytest.mark.slow
-def test_from_ten_centimetres_off_three_are_reached_in_a_minute_in_nine_of_ten_drives():
+@pytest.mark.parametrize(
+    ("model", "map_sigma_m", "least"),
+    [(ONE_SCALE, 0.05, 0.9), (MAP_ERRORS, 0.026, 0.85), (MAP_ERRORS, 0.05, 0.5)],
+    ids=["5 cm over 20 m", "as measured", "5 cm, scales as measured"],
+)
+def test_from_ten_centimetres_off_three_are_reached_in_a_minute_in_most_drives(model, map_sigma_m, least):
+    """The more of the map's error is alike along 600 m, the more is taken for the antenna's."""
     print("seeds 0 to 499")
     errors_m = []
     for seed in range(500):
-        *_, last_m = drive(Learning(RULES), seed, 60.0, 0.1, Noise())
+        learning = Learning(replace(RULES, map_errors=model))
+        *_, last_m = drive(learning, seed, 60.0, 0.1, Noise(map_sigma_m=map_sigma_m, map_errors=model))
         errors_m.append(last_m - 0.1)
     reached = float(np.mean(np.abs(errors_m) <= 0.03))
     print(f"{reached:.1%} within 3 cm, rms {np.std(errors_m) * 100:.1f} cm")
-    assert reached >= 0.9
+    assert reached >= least
 
 
 @pytest.mark.slow
@@ -114,7 +123,7 @@ def test_wrong_fixes_that_pass_do_not_pull_it():
 
 
 def test_it_changes_by_no_more_than_the_rate():
-    track_m = [*drive(Learning(RULES), 1, 60.0, 0.2, Noise())]
+    track_m = [*drive(Learning(RULES), 1, 60.0, 0.2, Noise(wrong=0.0))]
     per_cell_m = np.abs(np.diff(track_m))
     assert per_cell_m.max() <= RULES.rate_m_s * 2.2  # a cell is 20 m, two seconds
 
@@ -133,11 +142,12 @@ def test_the_same_stretch_again_and_again_makes_it_no_surer():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("drift_m_s", "most_m"), [(0.0003, 0.1), (0.001, 0.2), (0.002, 0.1), (0.005, 0.1), (0.02, 0.05)]
+    ("drift_m_s", "most_m"), [(0.0003, 0.1), (0.001, 0.2), (0.002, 0.25), (0.005, 0.15), (0.02, 0.05)]
 )
 def test_what_drifts_steadily_is_not_learnt(drift_m_s, most_m):
     for seed in range(6):
-        track_m = [*drive(Learning(RULES), seed, 240.0, 0.0, Noise(), drift_m_s)]
+        noise = Noise(map_sigma_m=0.026)  # as measured
+        track_m = [*drive(Learning(RULES), seed, 240.0, 0.0, noise, drift_m_s)]
         print(f"seed {seed}: {drift_m_s * 240:.2f} m drifted, {max(track_m):.3f} m learnt at most")
         assert max(track_m) <= most_m
 
@@ -286,10 +296,14 @@ def test_of_many_bases_the_oldest_are_forgotten():
 
 
 def test_an_antenna_that_was_measured_well_is_moved_less():
-    well, badly = (
-        update(Learning(replace(RULES, prior_sigma_m=sigma_m)), 0, 900, up_m=0.06) for sigma_m in (0.01, 0.1)
+    """What is moved then is the common offset of the survey, which no measurement of the antenna shows."""
+    without = replace(RULES, map_errors=replace(RULES.map_errors, common_offset_sigma_m=0.0))
+    well, badly, with_offset = (
+        update(Learning(rules), 0, 900, up_m=0.06).correction_m
+        for rules in (replace(without, prior_sigma_m=0.01), without, replace(RULES, prior_sigma_m=0.01))
     )
-    assert well.correction_m < 0.5 * badly.correction_m
+    assert well < 0.5 * badly
+    assert well < with_offset < badly
 
 
 # --- causes ---------------------------------------------------------------------------------------------------------
@@ -341,7 +355,7 @@ def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
     (part,) = learnt.parts
     assert all(cell.end_ns > named.onset_ns for cell, _ in part.cells), "what was before says nothing of it"
     assert (part.prior_sigma_m, part.held_m, part.cells.maxlen) == (RULES.prior_sigma_m, None, 96)
-    assert update(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.01)
+    assert update(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.015)
 
 
 def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(learnt):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.map_error_model import MAP_ERRORS
 from camber.road_map.release import Release, read_release
 from camber.road_map.tile_grid import tile_frame
 from camber.schemas.road import CloudTile, Layer
@@ -20,7 +22,8 @@ from camber.simulator.world.survey import SurveyErrors, write_survey
 from camber.simulator.world.survey_surfaces import ErrorField
 
 TIME_NS = 1_400_000_000 * 10**9
-EXACT = SurveyErrors(height_sigma_m=1e-9, clouds=False)
+NO_OFFSET = replace(MAP_ERRORS, common_offset_sigma_m=0.0)
+EXACT = SurveyErrors(height_sigma_m=1e-9, height_errors=NO_OFFSET, clouds=False)
 
 
 @lru_cache
@@ -51,7 +54,9 @@ def test_without_errors_the_map_has_the_road_of_the_survey_day_on_every_level(
 ) -> None:
     # σ of a nanometre would let no two surfaces agree that are bilinear over four metres: ask with the usual one.
     made = district(kind)
-    write_survey(tmp_path, made, TIME_NS, SurveyErrors(height_sigma_m=0.004, clouds=False))
+    write_survey(
+        tmp_path, made, TIME_NS, SurveyErrors(height_sigma_m=0.004, height_errors=NO_OFFSET, clouds=False)
+    )
     release = read_release(tmp_path)
     for name in sorted(made.layout.routes):
         if name != "default" or kind != "tunnel":
@@ -62,22 +67,31 @@ def test_without_errors_the_map_has_the_road_of_the_survey_day_on_every_level(
 
 def test_heights_err_by_as_much_as_was_asked_for_and_are_correlated(tmp_path: Path) -> None:
     made = district("city")
-    write_survey(tmp_path, made, TIME_NS, SurveyErrors(clouds=False))
-    errors = elevation_errors(read_release(tmp_path), made, "all")
-    assert 0.024 < np.sqrt(np.mean(errors**2)) < 0.036
-    neighbours = np.corrcoef(errors[:-1], errors[1:])[0, 1]  # 3.7 m apart
+    errors = SurveyErrors(clouds=False, height_errors=NO_OFFSET)
+    write_survey(tmp_path / "without", made, TIME_NS, errors)
+    errors_m = elevation_errors(read_release(tmp_path / "without"), made, "all")
+    assert (
+        0.5 * 0.03 < np.sqrt(np.mean(errors_m**2)) < 1.6 * 0.03
+    )  # a district has some ten independent stretches
+    write_survey(tmp_path / "with", made, TIME_NS, replace(errors, height_errors=MAP_ERRORS))
+    offset_m = elevation_errors(read_release(tmp_path / "with"), made, "all") - errors_m
+    assert np.ptp(offset_m) < 0.001
+    assert offset_m[0] == pytest.approx(
+        MAP_ERRORS.common_offset(stream(made.seed, "survey offset")), abs=0.001
+    )
+    neighbours = np.corrcoef(errors_m[:-1], errors_m[1:])[0, 1]  # 3.7 m apart
     assert neighbours > 0.9
 
 
 def test_the_error_field_has_its_sigma_and_correlation() -> None:
     rng = np.random.default_rng(0)
-    fields = [ErrorField(0.03, 20.0, stream(seed, "field")) for seed in range(60)]
+    fields = [ErrorField(0.03, MAP_ERRORS, stream(seed, "field")) for seed in range(60)]
     place = rng.uniform(-500.0, 500.0, (300, 2))
     here = np.stack([field.at(place[:, 0], place[:, 1]) for field in fields])
     assert here.std() == pytest.approx(0.03, rel=0.03)
-    for away in (5.0, 20.0, 60.0):
+    for away in (5.0, 20.0, 60.0, 200.0):
         there = np.stack([field.at(place[:, 0] + 0.6 * away, place[:, 1] + 0.8 * away) for field in fields])
-        assert np.mean(here * there) / 0.03**2 == pytest.approx(np.exp(-((away / 20.0) ** 2)), abs=0.04)
+        assert np.mean(here * there) / 0.03**2 == pytest.approx(float(MAP_ERRORS.correlation(away)), abs=0.08)
 
 
 @pytest.mark.parametrize("kind", KINDS)
