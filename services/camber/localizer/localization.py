@@ -74,6 +74,7 @@ class Localization:
             model, self._lever_m, map_queries, links_radius_m=options.links_radius_m
         )
         """The position in which no fix has a part."""
+        self._filter.use_sensors_of(self.independent.position.filter)
         self._road = RoadBelowAntenna(options.road_sigma_limit_m, map_queries, diagnostics)
         self.matcher: ScanMatcher | None = None
         """The scan matcher, for pictures of its matches; None where sweeps are not used."""
@@ -83,7 +84,7 @@ class Localization:
             )
         self._given_at_m = 0.0  # path driven when the given pose was used
         self._published_ns = 0
-        self._sensor_fault_reported = False
+        self._odometry_faults: set[str] = set()
 
     @property
     def has_pose(self) -> bool:
@@ -151,7 +152,7 @@ class Localization:
         if time_ns is None or time_ns <= self._published_ns:
             return LocalizationOutput(None, matches)
         self._published_ns = time_ns
-        self._report_sensor_fault()
+        self._report_odometry_faults()
         return LocalizationOutput(self._pose(time_ns), matches)
 
     def _pose(self, time_ns: int) -> Pose:
@@ -222,13 +223,19 @@ class Localization:
         if self.matcher is not None and self.matcher.reason:
             yield self.matcher.reason
 
-    def _report_sensor_fault(self) -> None:
-        """Report an error of a sensor that has left its physical bound, once while it lasts."""
-        fault = self._filter.sensor_fault
-        if fault is not None and not self._sensor_fault_reported:
-            text = f"{fault.error} {fault.estimate:.3g}, at most {fault.bound:.3g}: a sensor, or positions led away"
+    def _report_odometry_faults(self) -> None:
+        """Report a contradiction between odometry and confirmed positions, once while it lasts."""
+        sensor, path = self._filter.sensor_fault, self._filter.path_fault
+        if sensor is not None and "sensor" not in self._odometry_faults:
+            text = f"{sensor.error} {sensor.estimate:.3g}, at most {sensor.bound:.3g}: a sensor, or positions led away"
             self._diagnostics.issue("sensor_out_of_bounds", text)
-        self._sensor_fault_reported = fault is not None
+        if path is not None and "path" not in self._odometry_faults:
+            text = (
+                f"along {path.along_m_s:.2f} m/s, left {path.across_m_s:.2f} m/s, over {path.window_s:.0f} s"
+            )
+            self._diagnostics.issue("positions_leave_odometry", text)
+        lasting = {"sensor": sensor, "path": path}
+        self._odometry_faults = {name for name, fault in lasting.items() if fault is not None}
 
     def _attitude(self, time_ns: int, yaw_rad: float) -> tuple[float, float]:
         """Return roll and pitch by a recent match, else by the road's slope."""

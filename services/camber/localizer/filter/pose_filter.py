@@ -16,6 +16,9 @@ import numpy as np
 
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats, require_covariance, require_finite
+from camber.localizer.contradictions.odometry_contradiction import OdometryContradiction
+from camber.localizer.contradictions.path_comparison import PathTest, PlacedPosition
+from camber.localizer.contradictions.sensor_bounds import SensorFault
 from camber.localizer.filter.anchors import AnchorResult, Anchors, floored
 from camber.localizer.filter.consistent_match_sequence import MatchedPose
 from camber.localizer.filter.dead_reckoning import (
@@ -43,7 +46,6 @@ from camber.localizer.filter.pose_estimate import Mode, PoseEstimate, Prediction
 from camber.localizer.filter.pose_initialization import PoseInitialization
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.scan_match_update import MatchUpdate, ScanMatches, late_noise
-from camber.localizer.filter.sensor_bounds import SensorBounds, SensorFault
 from camber.localizer.filter.source_conflict import SourceConflict
 from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag, RelativeTrack, TrackPoint
@@ -77,8 +79,7 @@ class PoseFilter:
         self._wheel_slip = WheelSlipDetector(self.state, self.model)
         self._matches = ScanMatches(self.state, self._wheel_slip, self.model)
         self._conflict = SourceConflict(self.model.holds_for_s)
-        self._bounds = SensorBounds(self.state, motion)
-        self._bounded_at_m = 0.0
+        self._odometry = OdometryContradiction(self.state, self.model)
         self._initialization = PoseInitialization(self.state, self._yaw_rates, self.model)
         self._provenance: Provenance = "none"
         self._last_sample: Motion | None = None
@@ -123,7 +124,16 @@ class PoseFilter:
     @property
     def sensor_fault(self) -> SensorFault | None:
         """The sensor's error that has left its physical bound, while it lasts."""
-        return self._bounds.fault(self.time_ns)
+        return self._odometry.sensor_fault(self.time_ns)
+
+    @property
+    def path_fault(self) -> PathTest | None:
+        """The comparison by which anchors depart from the path by odometry, while that lasts."""
+        return self._odometry.path_fault(self.time_ns)
+
+    def use_sensors_of(self, other: PoseFilter) -> None:
+        """Compare anchors with the path by odometry as calibrated by another filter, which has no anchors."""
+        self._odometry.use_sensors(other.state)
 
     def estimate(self) -> PoseEstimate | None:
         """Return the present pose; None before the first motion sample and without a start."""
@@ -201,7 +211,7 @@ class PoseFilter:
             self._initialization.spread(self._track_now())
         elif self._provenance != "none":
             self._drop_lost_estimates()
-        self._bounds.enforce(sample.time_ns)
+        self._odometry.advance(sample.time_ns, step)
         return step.outcome
 
     def _learn_bias(self, step: MotionStep) -> None:
@@ -251,20 +261,20 @@ class PoseFilter:
         if now - time_ns > self.model.anchor_max_age_s * 1e9:
             return AnchorResult("too_old")
         noise = floored(covariance, self.model.anchor_sigma_floor_m)
+        variance = largest_variance(noise) + self.model.anchor_common_sigma_m**2
+        position = TrackedPosition(east_m, north_m, variance, then)
         if self._provenance == "none" or not self._initialization.heading_known:
-            variance = largest_variance(noise) + self.model.anchor_common_sigma_m**2
-            self._initialization.add_position(TrackedPosition(east_m, north_m, variance, then), here)
+            self._initialization.add_position(position, here)
             result = AnchorResult("accepted")
         else:
-            provisional = self._provenance == "fixes"
-            before_m = self.state.x[:2].copy()
+            provisional, before_m = self._provenance == "fixes", self.state.x[:2].copy()
             held = not provisional and self._is_fresh(self._match_ns, self.model.holds_for_s)
             result = self._anchors.update(
                 time_ns, (east_m, north_m), noise, then=then, here=here, overrules=provisional, held=held
             )
             if held and self._anchors.is_persistent and result.innovation_m is not None:
                 self._conflict.report("anchors", result.innovation_m, now)
-            self._bound_sensors(now, before_m)
+            self._compare_with_odometry(position, here, before_m)
         if result.accepted:
             self._set_provenance("confirmed")
             self._conflict.resolve("anchors")
@@ -324,16 +334,20 @@ class PoseFilter:
             result = self._handle_persistent(match, here, result)
         return result
 
-    def _bound_sensors(self, now_ns: int, before_m: Floats) -> None:
-        """Keep the sensors' errors within their bounds; anchors that pull them out contradict odometry."""
-        x, path_m = self.state.x, self.travelled_m - self._bounded_at_m
-        by_scale = rotated(float(x[YAW]), float(x[SCALE]) * path_m, 0.0)
-        self._bounded_at_m = self.travelled_m
-        self._bounds.note_move(now_ns, x[:2] - before_m + by_scale)
-        self._bounds.enforce(now_ns)
-        if self._bounds.fault(now_ns) is not None:
-            east_m, north_m = self._bounds.departure_m.tolist()
-            self._conflict.report("odometry", (east_m, north_m), now_ns)
+    def _compare_with_odometry(self, position: TrackedPosition, here: TrackPoint, before_m: Floats) -> None:
+        """Compare an anchor with odometry; where they contradict each other the covariance covers both."""
+        assert self.time_ns is not None
+        now_ns, then, x = self.time_ns, position.track, self.state.x
+        frame = float(x[YAW]) - here.yaw_rad
+        since = rotated(frame, here.east_m - then.east_m, here.north_m - then.north_m)
+        lever = rotated(frame + then.yaw_rad, self.model.antenna_x_m, self.model.antenna_y_m)
+        at = np.array((position.east_m + since[0] - lever[0], position.north_m + since[1] - lever[1]))
+        placed = PlacedPosition(at, np.eye(2) * position.variance_m2)
+        departure = self._odometry.add_anchor(
+            now_ns, placed, moved_m=x[:2] - before_m, travelled_m=self.travelled_m
+        )
+        if departure is not None:
+            self._conflict.report("odometry", (float(departure[0]), float(departure[1])), now_ns)
 
     def motion_share(self, overlay_lag: OverlayLag, yaw_rad: float) -> Floats:
         """Return the covariance (3, 3) of a match by the wheels' unknown errors over the overlay's lag."""
@@ -388,7 +402,7 @@ class PoseFilter:
         self._initialization.at_past_pose(match._replace(covariance=match.covariance + added), here)
         self._anchors.forget()
         self._conflict.forget()
-        self._bounds.forget()
+        self._odometry.forget()
         self._wheel_slip.forget()
         self._matches.forget()
         self._matches.accept(match)
@@ -443,7 +457,7 @@ class PoseFilter:
         self._anchor_ns = self._match_ns = self._position_match_ns = None
         self._anchors.forget()
         self._conflict.forget()
-        self._bounds.forget()
+        self._odometry.forget()
         self._link.forget()
 
     def _set_provenance(self, provenance: Provenance) -> None:
@@ -459,6 +473,7 @@ class PoseFilter:
         self._initialization.shift(east_m, north_m)
         self._matches.shift(east_m, north_m)
         self._link.shift(east_m, north_m)
+        self._odometry.shift(east_m, north_m)
 
     def _track_now(self) -> TrackPoint | None:
         """Return the end of the track; before any motion, its beginning."""
