@@ -104,6 +104,10 @@ def _controls(figures: Figures) -> str:
             "right fixes confirmed": lambda g: percent(
                 _sum(g[1], "right_confirmed") / max(_sum(g[1], "right"), 1), 2
             ),
+            "independent position, σ and error, m": lambda g: (
+                f"{_number(_mean(g[1], 'independent_sigma_m'))}, {_number(_mean(g[1], 'independent_error_m'))}"
+            ),
+            "in its 99 % ellipse": lambda g: percent(_mean(g[1], "independent_inside_99"), 1),
         },
     )
 
@@ -162,7 +166,7 @@ def _most(rows: Figures, name: str) -> float:
 
 
 def _mean(rows: Figures, name: str) -> float | None:
-    values = [row[name] for row in rows if row[name] is not None]
+    values = [row[name] for row in rows if row.get(name) is not None]
     return sum(values) / len(values) if values else None
 
 
