@@ -38,6 +38,10 @@ _LEVEL_SIGMA: Final = (
     0.05  # chosen: σ of a road's slope where no match shows roll and pitch; few roads exceed 10 %
 )
 
+_LINKS_EVERY_M: Final = (
+    2.5  # chosen: half of `PoseModel.couple_every_m`; matching costs as much as the filter
+)
+
 
 class AntennaPosition(NamedTuple):
     """The antenna in the plane [m], covariance (2, 2), and the pose of the vehicle that it belongs to."""
@@ -65,6 +69,7 @@ class IndependentLocalization:
         self.active = False
         """Whether motion is followed: nothing is computed before evidence can come."""
         self._lever_m = lever_m
+        self._links_at_m = -_LINKS_EVERY_M  # path driven at the last link matching
         self._links = LinkCache(links_radius_m, map_queries, _UnreportedQueries())
 
     def predict(self, motion: Motion) -> None:
@@ -74,17 +79,23 @@ class IndependentLocalization:
 
     def couple_links(self, now_ns: int) -> None:
         """Couple the position with the link that its own history has led to."""
-        estimate = self.position.estimate() if self.active else None
-        if estimate is None or self.plane is None:
+        if not self.active or self.plane is None or self.position.evidence is None:
             return
-        if self.plane.is_too_far(estimate.east_m, estimate.north_m):
-            estimate = self._move_plane(estimate, self.plane)
-        matcher = self._links.matcher_at(self.plane, estimate.east_m, estimate.north_m, now_ns)
-        match = LinkMatch(status="none")
-        if matcher is not None:
+        pose_filter = self.position.filter
+        east_m, north_m = pose_filter.state.x[:2].tolist()
+        if self.plane.is_too_far(east_m, north_m):
+            self._move_plane(self.plane, east_m, north_m)
+            east_m = north_m = 0.0
+        matcher = self._links.matcher_at(self.plane, east_m, north_m, now_ns)
+        if abs(pose_filter.travelled_m - self._links_at_m) < _LINKS_EVERY_M:
+            pose_filter.couple_rotation()
+            return
+        self._links_at_m = pose_filter.travelled_m
+        estimate, match = self.position.estimate(), LinkMatch(status="none")
+        if matcher is not None and estimate is not None:
             pose = (estimate.east_m, estimate.north_m, estimate.yaw_rad)
-            match = matcher.step(pose, estimate.covariance, travelled_m=self.position.filter.travelled_m)
-        self.position.filter.couple_link(match)
+            match = matcher.step(pose, estimate.covariance, travelled_m=pose_filter.travelled_m)
+        pose_filter.couple_link(match)
 
     def start(self, pose: StartPose, plane: LocalPlane, motion: Motion) -> None:
         """Start from a given pose in a plane, at a motion sample."""
@@ -130,6 +141,7 @@ class IndependentLocalization:
 
     def _restart(self) -> None:
         """Fetch and match links anew: plane or position is another one."""
+        self._links_at_m = -_LINKS_EVERY_M
         self._links.forget()
         self._links.restart()
 
@@ -155,7 +167,7 @@ class IndependentLocalization:
         if antenna is None or evidence is None or plane is None:
             return None
         latitude_rad, longitude_rad = plane.geodetic(antenna.east_m, antenna.north_m)
-        ee, en, nn = antenna.covariance[np.triu_indices(2)].tolist()
+        (ee, en), (_, nn) = antenna.covariance.tolist()
         return schema.IndependentPosition(
             basis=evidence.basis,
             latitude_rad=latitude_rad,
@@ -165,14 +177,11 @@ class IndependentLocalization:
             distance_m=max(0.0, self.position.distance_m),
         )
 
-    def _move_plane(self, estimate: PoseEstimate, plane: LocalPlane) -> PoseEstimate:
-        """Return the estimate in a new plane around it."""
-        self.plane = LocalPlane(*plane.geodetic(estimate.east_m, estimate.north_m))
-        self.position.filter.shift_origin(estimate.east_m, estimate.north_m)
+    def _move_plane(self, plane: LocalPlane, east_m: float, north_m: float) -> None:
+        """Move the plane's origin to the position."""
+        self.plane = LocalPlane(*plane.geodetic(east_m, north_m))
+        self.position.filter.shift_origin(east_m, north_m)
         self._links.forget()
-        moved = self.position.estimate()
-        assert moved is not None
-        return moved
 
 
 class RepeatedLinksQuery:

@@ -35,6 +35,7 @@ from camber.schemas.motion import Motion
 from camber.schemas.pose import IndependentPosition, Pose, Road, ScanMatch
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
+_UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,7 +188,7 @@ class Localization:
             latitude_rad=latitude_rad,
             longitude_rad=longitude_rad,
             yaw_rad=yaw_rad if estimate.yaw_known else None,
-            covariance_east_north_yaw=tuple(covariance[np.triu_indices(3)].tolist()),
+            covariance_east_north_yaw=tuple(covariance[_UPPER].tolist()),
             roll_rad=roll_rad,
             pitch_rad=pitch_rad,
             speed_m_s=estimate.speed_m_s,
