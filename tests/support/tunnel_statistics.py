@@ -2,10 +2,12 @@
 
 PYTHONPATH=tests python -m support.tunnel_statistics --seeds 1 2 3
 PYTHONPATH=tests python -m support.tunnel_statistics --seeds 1 2 3 --slip
+PYTHONPATH=tests python -m support.tunnel_statistics --seeds 1 2 3 --automotive
 
 The scenario `tunnel-950s` with the seeds named: its motion, its map's links and its truth, nothing else. Before the
 tunnel confirmed fixes anchor the pose and teach the sensors, from the first covered place on there is nothing. Figures
 are of the 950 seconds from there. --slip: the wheels spin (factor 1.3, 4 s) or slide (0.6, 2 s) every other minute.
+--automotive: the yaw-rate sensor has all the errors of a real one.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from camber.simulator.faults import WheelSlip
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory
-from camber.simulator.simulated_drive import SENSORS, district_of
+from camber.simulator.simulated_drive import district_of, sensors_of
 from camber.simulator.vehicle.body import CAR
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.sensors import motion_messages, read_sensors
@@ -102,16 +104,19 @@ class Blind:
         }
 
 
-def tunnel_drive(seed: int, *, slip: bool = False, duration_s: float | None = None) -> TunnelDrive:
+def tunnel_drive(
+    seed: int, *, slip: bool = False, automotive: bool = False, duration_s: float | None = None
+) -> TunnelDrive:
     """The scenario's drive with this seed."""
-    scenario = load_scenario("tunnel-950s", [f"seed={seed}"])
+    sensor = "automotive" if automotive else "plain"
+    scenario = load_scenario("tunnel-950s", [f"seed={seed}", f"yaw_rate_sensor='{sensor}'"])
     district = district_of(scenario)
     path = district.path()
     faults = _slips(seed, scenario.duration_s) if slip else []
     trajectory = drive(
         path, CAR, start_ns=scenario.start_ns, duration_s=duration_s or scenario.duration_s, faults=faults
     )
-    readings = read_sensors(trajectory, CAR, path.surface_m, SENSORS, seed)
+    readings = read_sensors(trajectory, CAR, path.surface_m, sensors_of(scenario), seed)
     covered = np.column_stack((path.east_m, path.north_m))[int(np.argmax(path.tunnel))]
     lost = int(np.argmin(np.hypot(*(trajectory.origin_m[:, :2] - covered).T)[: 100 * 100]))
     with tempfile.TemporaryDirectory() as folder:
@@ -248,10 +253,11 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--slip", action="store_true", help="the wheels spin and slide now and then")
+    parser.add_argument("--automotive", action="store_true", help="a real yaw-rate sensor's errors")
     chosen = parser.parse_args()
     for seed in tqdm(chosen.seeds):
         began = time.monotonic()
-        one = tunnel_drive(seed, slip=chosen.slip)
+        one = tunnel_drive(seed, slip=chosen.slip, automotive=chosen.automotive)
         for name, couple in (("alone", False), ("coupled", True)):
             figures = {k: round(v, 4) for k, v in blind(one, couple_links=couple).figures().items()}
             print(

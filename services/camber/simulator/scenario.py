@@ -113,6 +113,10 @@ class Scenario(Model):
     )
     duration_s: float = Field(default=120.0, gt=0.0, le=86_400.0, description="of driving")
     vehicle: Literal["car", "robot"] = Field(default="car", description="car or robot")
+    yaw_rate_sensor: Literal["plain", "automotive"] = Field(
+        default="plain",
+        description="plain, or automotive: with instability, warming, scale and misalignment too",
+    )
     place: DistrictPlace = Field(description="table with the district")
     satellites: Satellites = Field(default=Satellites(), description="table of what is received")
     lidar: Lidar | None = Field(default=None, description="table of the surround sensor")

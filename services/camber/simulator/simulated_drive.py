@@ -38,6 +38,7 @@ from camber.simulator.scenario import Scenario, ScenarioError
 from camber.simulator.scene import Booleans, Floats, Integers, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import RATE_HZ, drive
+from camber.simulator.vehicle.rate_sensor import AUTOMOTIVE_YAW_RATE
 from camber.simulator.vehicle.sensors import SensorSet, VehicleReadings, read_sensors
 from camber.simulator.world.district import District, make_district
 from camber.simulator.world.ray_tracing import ShapeTracer
@@ -148,7 +149,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         path=path,
         trajectory=trajectory,
         tracer=ShapeTracer(shapes),
-        readings=read_sensors(trajectory, body, path.surface_m, SENSORS, seed=seed),
+        readings=read_sensors(trajectory, body, path.surface_m, sensors_of(scenario), seed=seed),
         epoch_ns=epoch_ns,
         of_epoch=of_epoch,
         outputs=outputs,
@@ -161,6 +162,12 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         fix_wrong=fixed & (np.linalg.norm(solutions.error_m + base_offset_m, axis=1) > WRONG_M),
         map_offset_m=offsets_by_link(of_kind(faults, WrongMap), trajectory),
     )
+
+
+def sensors_of(scenario: Scenario) -> SensorSet:
+    """The vehicle's sensors of a scenario."""
+    automotive = scenario.yaw_rate_sensor == "automotive"
+    return replace(SENSORS, yaw_rate=AUTOMOTIVE_YAW_RATE) if automotive else SENSORS
 
 
 def district_of(scenario: Scenario, changed_roads: dict[int, float] | None = None) -> District:

@@ -19,6 +19,7 @@ from camber.simulator.vehicle.attitude import body_yaw_rate
 from camber.simulator.vehicle.attitude_sensor import AttitudeSensor, attitude_errors
 from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.pose_track import PoseTrack
+from camber.simulator.vehicle.rate_sensor import RateSensor, additional_errors
 from camber.simulator.vehicle.sensor_clock import DriftingClock, Readings, quantised
 
 Surface = Callable[[Floats, Floats, Integers], Floats]
@@ -35,17 +36,6 @@ class WheelSensor:
     edge_sigma: float = 0.02
     least_speed_m_s: float = 0.35
     step_m_s: float = 0.01
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateSensor:
-    """A yaw rate sensor: it turns with the body, its bias walks at random."""
-
-    bias_sigma_rad_s: float = math.radians(0.05)
-    walk_rad_s_sqrt_s: float = math.radians(0.0005)
-    noise_rad_s: float = math.radians(0.1)
-    scale_sigma: float = 0.002
-    step_rad_s: float = math.radians(0.01)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +116,9 @@ def read_sensors(
     rate = of.sampled(body_rate, true_ns) * (1.0 + g.scale_sigma * of.draw("yaw rate scale"))
     walk = g.walk_rad_s_sqrt_s / math.sqrt(sensors.rate_hz) * np.cumsum(of.white("yaw rate walk", n))
     bias, noise = g.bias_sigma_rad_s * of.draw("yaw rate bias"), g.noise_rad_s * of.white("yaw rate noise", n)
-    rate = quantised(rate + bias + walk + noise, g.step_rad_s)
+    rate = rate + bias + walk + noise
+    more = additional_errors(trajectory, g, of.seconds(true_ns), seed)
+    rate = quantised(rate if more is None else rate + more, g.step_rad_s)
     yaw_rate = Readings(time_ns=stamps, true_time_ns=true_ns, value=rate)
 
     true_ns, stamps = of.times("attitude")

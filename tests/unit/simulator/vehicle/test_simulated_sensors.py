@@ -13,11 +13,11 @@ from camber.simulator.scene import Path, Trajectory
 from camber.simulator.vehicle.attitude_sensor import AttitudeSensor
 from camber.simulator.vehicle.body import CAR, ROBOT
 from camber.simulator.vehicle.motion import drive
+from camber.simulator.vehicle.rate_sensor import AUTOMOTIVE_YAW_RATE, RateSensor, additional_errors
 from camber.simulator.vehicle.sensor_clock import DriftingClock
 from camber.simulator.vehicle.sensors import (
     BiasedSensor,
     RangingSensor,
-    RateSensor,
     SensorSet,
     WheelSensor,
     distance_to_road_m,
@@ -253,3 +253,27 @@ def test_to_change_one_error_leaves_the_others(path: Path, trajectory: Trajector
     assert a.wheel_speed.value.tobytes() == b.wheel_speed.value.tobytes()
     assert a.steering.value.tobytes() == b.steering.value.tobytes()
     assert a.yaw_rate.value.tobytes() != b.yaw_rate.value.tobytes()
+
+
+def test_an_automotive_yaw_rate_sensor_has_the_errors_of_its_sizes(trajectory):
+    """Over seeds: σ of instability and, at the end, of warming; a tilted axis reads a share of roll and pitch rate."""
+    asked_s = np.arange(0.0, 60.0, 0.1)
+    sizes = AUTOMOTIVE_YAW_RATE
+    only = dataclasses.replace(sizes, warming_sigma_rad_s=0.0, misalignment_sigma_rad=0.0)
+    spread = [additional_errors(trajectory, only, asked_s, seed)[::300] for seed in range(300)]
+    assert np.std(spread) == pytest.approx(sizes.instability_rad_s, rel=0.15)
+    only = dataclasses.replace(sizes, instability_rad_s=0.0, misalignment_sigma_rad=0.0)
+    ends = [additional_errors(trajectory, only, np.array([0.0, 6000.0]), seed) for seed in range(300)]
+    np.testing.assert_array_equal(np.array(ends)[:, 0], 0.0)
+    assert np.std(np.array(ends)[:, 1]) == pytest.approx(sizes.warming_sigma_rad_s, rel=0.15)
+    assert additional_errors(trajectory, RateSensor(), asked_s, 1) is None
+
+
+def test_the_sensor_of_before_reads_the_same_beside_the_automotive_one(path, trajectory):
+    """The new errors have streams of their own: all other sensors' readings stay as they are."""
+    changed = dataclasses.replace(NORMAL, yaw_rate=AUTOMOTIVE_YAW_RATE)
+    a, b = (read_sensors(trajectory, CAR, path.surface_m, s, 1) for s in (NORMAL, changed))
+    np.testing.assert_array_equal(a.wheel_speed.value, b.wheel_speed.value)
+    np.testing.assert_array_equal(a.steering.value, b.steering.value)
+    assert not np.array_equal(a.yaw_rate.value, b.yaw_rate.value)
+    assert np.abs(a.yaw_rate.value - b.yaw_rate.value).max() < math.radians(3.0)
