@@ -198,6 +198,21 @@ TEST_RULES: tuple[DecisionRule, ...] = (
         ),
         _independent_figures,
     ),
+    _compared(
+        "position_disagrees",
+        "the position contradicts a pose that others have anchored by their height alone, and a run of such fixes "
+        "[is likelier to be right](../theory/integrity.md#a-captured-pose)",
+        lambda tests: tests.may_be_captured and tests.wins_against_pose,
+        lambda tests: tests.rival_detail,
+        outcome="confirmed_after_verification",
+        evidence=lambda _: ("height", "track"),
+    ),
+    _compared(
+        "position_disagrees",
+        "the position contradicts such a pose, and the odds do not suffice: the fix or the pose is wrong",
+        lambda tests: tests.may_be_captured,
+        lambda tests: tests.rival_detail,
+    ),
     _failed_rule(POSITION_CONTRADICTS, "erroneous", "the position contradicts the pose"),
     _compared(
         "position_disagrees",

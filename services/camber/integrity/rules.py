@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from camber.integrity.checks.captured_pose import CaptureRules
 from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.checks.start_rule import StartRules
 from camber.integrity.checks.time_series import SeriesRules
@@ -50,6 +51,7 @@ class Rules:
     alert_limit_m: float = 1.5
     true_sigma: TrueSigma = field(default_factory=TrueSigma)
     learning: LearningRules = field(default_factory=LearningRules)
+    capture: CaptureRules = field(default_factory=CaptureRules)
     start: StartRules = field(default_factory=StartRules)
     series: SeriesRules = field(default_factory=SeriesRules)
     verification: VerificationRules = field(default_factory=VerificationRules)

@@ -176,6 +176,10 @@ class IntegritySettings(ServiceSettings):
         "learning.map_errors.common_offset_sigma_m",
         "σ of what all heights of a survey have in common, which is learnt with the correction",
     )
+    captured_pose_least_odds: Positive = _sets(
+        "capture.least_odds",
+        "odds from which a run of fixes wins against a pose that others have anchored by their height alone",
+    )
     series_gap_s: Positive = _sets("series.longest_gap_s", "longest time between two fixes of a time series")
     series_chain: int = _sets(
         "series.longest_chain", "largest number of fixes verified by time series since a confirmed one", ge=1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.checks.captured_pose import CapturedPose, FixRun
 from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.checks.pose_gate import claimed_sigma_m, offset_from_pose
 from camber.integrity.checks.start_rule import StartCount, StartFix
@@ -25,6 +26,7 @@ class FixHistory:
         self._rules = rules
         self.integers = AmbiguityHistory()
         self.chain: ChainedFix | None = None
+        self.captured = CapturedPose()
         self._start = StartCount()
 
     def settle(self, judgement: FixJudgement, speed_m_s: float | None) -> None:
@@ -41,6 +43,7 @@ class FixHistory:
         self._start = self.start_after(fix, speed_m_s) if in_a_row else StartCount()
         if judgement.confirmed and judgement.road is not None and is_precise(fix, self._rules):
             self.chain = self._chain_after(judgement, judgement.road)
+        self.captured = self._captured_after(judgement)
 
     def forget_after(self, limit_ns: int) -> None:
         """Drop what is dated later than this."""
@@ -48,6 +51,9 @@ class FixHistory:
             self.chain = None
         if self.integers.last_ns > limit_ns:
             self.integers = AmbiguityHistory()
+        runs = self.captured.support, self.captured.rival
+        if any(run is not None and run.last_ns > limit_ns for run in runs):
+            self.captured = CapturedPose()
 
     def start_after(self, fix: Fix, speed_m_s: float | None) -> StartCount:
         """Agreeing fixes in a row, if this is one more."""
@@ -81,6 +87,34 @@ class FixHistory:
             drift_m=math.hypot(east_now - east_then, north_now - north_then),
             height_m=fix.height_m,
         )
+
+    def run_of(self, fix: Fix, offset_m: tuple[float, float]) -> FixRun:
+        """A fix as a run of one, `offset_m` from the pose east and north."""
+        share = self._rules.levels.wrong_fix.prior_of(fix.satellites)
+        return FixRun(
+            first_ns=fix.time_ns, last_ns=fix.time_ns, odds=share / (1.0 - share), offset_m=offset_m
+        )
+
+    def rival_odds(self, rival: FixRun) -> float:
+        """That a run of fixes is right and the pose that it contradicts captured."""
+        wrong = self._rules.levels.wrong_fix
+        return self.captured.odds_of(rival, prior=wrong.prior, episode_s=wrong.episode_s)
+
+    def _captured_after(self, judgement: FixJudgement) -> CapturedPose:
+        """The hypothesis of a captured pose after a judgement; what is against a fix by itself changes nothing."""
+        rules, wrong, result = self._rules.capture, self._rules.levels.wrong_fix, judgement.comparison
+        if result is None:
+            return self.captured
+        if "position" in judgement.evidence:
+            return CapturedPose()
+        run = self.run_of(judgement.fix, result.position_m)
+        if judgement.reason == "position_disagrees" and judgement.verdict != "erroneous":
+            return self.captured.contradicted(run, rules, won=judgement.confirmed)
+        if not judgement.confirmed:
+            return self.captured.rejects(run, rules)
+        opens = judgement.verdict == "confirmed" and "consistency" not in judgement.evidence
+        after = self.captured.agreed(run, rules, opens=opens)
+        return after.settled(rules, prior=wrong.prior, episode_s=wrong.episode_s)
 
     def _chain_after(self, judgement: FixJudgement, road: RoadPoint) -> ChainedFix:
         """The chain with a position found right as its head."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
+from camber.integrity.checks.captured_pose import FixRun
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
 from camber.integrity.checks.comparison import FixComparison, compare
 from camber.integrity.checks.consistency import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
@@ -208,6 +209,33 @@ class FixTests:
     def has_pose_of_fixes(self) -> bool:
         """Have fixes anchored the pose, so that agreement with it is that of fixes with one another?"""
         return rests_on_fixes(self.pose)
+
+    @property
+    def may_be_captured(self) -> bool:
+        """Does a fix with the road's height contradict a pose that others anchored by their height alone?"""
+        doubtful = self._state.history.captured.support is not None and self.has_pose_of_fixes
+        here = self.outcome == POSITION_CONTRADICTS and self.road is not None
+        return self.is_reference_required and doubtful and here and not self.contradicts_independent
+
+    @cached_property
+    def rival(self) -> FixRun:
+        """The run of fixes that contradict the pose, with this one."""
+        history = self._state.history
+        run = history.run_of(self.fix, self.comparison.position_m)
+        return history.captured.rival_with(run, self.rules.capture)
+
+    @property
+    def wins_against_pose(self) -> bool:
+        """Is it so much likelier that the pose is captured than that the run of fixes is wrong?"""
+        rules, rival = self.rules, self.rival
+        long_enough = rival.fixes >= rules.start.fixes and rival.duration_s >= rules.start.duration_s
+        return long_enough and self._state.history.rival_odds(rival) >= rules.capture.least_odds
+
+    @property
+    def rival_detail(self) -> str:
+        """The figures of both hypotheses, and those of the comparison."""
+        odds = self._state.history.rival_odds(self.rival)
+        return f"{self.rival.fixes} such in a row, odds {odds:.2g} that they are right; {self.detail}"
 
     @property
     def has_position_evidence(self) -> bool:
