@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -15,11 +16,14 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.candidates.engine_candidates import fix_from_solution, observations_from, velocity_from
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
 from camber.gnss.candidates.subset_agreement import subset_agreement
+from camber.gnss.observations.base_memory import BaseMemory, memory_as_text, memory_from_text
+from camber.gnss.observations.base_watch import BaseWatch
 from camber.gnss.observations.receiver_streams import Stream, StreamItem, StreamProtocol, StreamReader
 from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.settings import GnssSettings
 from camber.gnss.warm_up import compile_readers, warm_up
+from camber.road_map.release_files import write_file
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
@@ -60,7 +64,8 @@ class GnssService(Service[GnssSettings]):
         self._readers: dict[tuple[Stream, StreamProtocol], StreamReader] = {}
         self._fed_ns: dict[tuple[Stream, StreamProtocol], int] = {}
         self._damage: dict[StreamReader, dict[str, int]] = {}
-        self._rover = Rover(settings.engine, settings.base_ecef_m) if self._solves else None
+        self._bases_file = settings.state_dir / "bases.json" if settings.state_dir and self._solves else None
+        self._rover = self._make_rover() if self._solves else None
         self._criteria = settings.engine.fix_criteria() if settings.engine.subset_agreement else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
@@ -98,6 +103,7 @@ class GnssService(Service[GnssSettings]):
                 self._publish_solved(self._rover.solve(epoch))
         for code, text in self._warnings.new(self._rover.engine):
             self.bus.issue(code, text)
+        self._save_bases(self._rover.bases.memory)
 
     def healthy(self) -> bool:
         """Whether epochs arrive."""
@@ -107,6 +113,22 @@ class GnssService(Service[GnssSettings]):
         """Close the ports."""
         for port in self._ports:
             port.port.close()
+
+    def _make_rover(self) -> Rover:
+        settings = self.settings
+        source = settings.base_source if settings.base_source is not None else settings.source
+        mount = source.partition("://")[2] or source
+        bases = BaseWatch(_load_bases(self._bases_file, self.bus), mount[:300], settings.confirmed_bases)
+        return Rover(settings.engine, settings.base_ecef_m, bases)
+
+    def _save_bases(self, memory: BaseMemory) -> None:
+        if self._bases_file is None or not memory.changed:
+            return
+        memory.changed = False
+        try:
+            write_file(self._bases_file, memory_as_text(memory.bases).encode())
+        except OSError as error:
+            self.bus.issue("bases_not_kept", f"{self._bases_file}: {error.strerror}")
 
     def _open_ports(self) -> list[_StreamPort]:
         settings = self.settings
@@ -278,6 +300,17 @@ class GnssService(Service[GnssSettings]):
             return self._rover.recent.estimates(request)
         reason = "the receiver's own solution; there are no raw observations"
         return Estimates(time_ns=request.time_ns, fix_id=request.fix_id, status="unavailable", reason=reason)
+
+
+def _load_bases(path: Path | None, bus: Bus) -> BaseMemory:
+    """What is remembered; a file that cannot be read is reported, replaced by nothing, and written anew."""
+    if path is None or not path.exists():
+        return BaseMemory()
+    try:
+        return memory_from_text(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        bus.issue("bases_unreadable", f"{path}: {error}")
+        return BaseMemory()
 
 
 SERVICE = GnssService

@@ -37,6 +37,11 @@ class GnssSettings(ServiceSettings):
     base_ecef_m: tuple[Coordinate, Coordinate, Coordinate] | None = Field(
         None, description="ECEF coordinate of the base's antenna; unset: from its stream"
     )
+    confirmed_bases: tuple[Name, ...] = Field(
+        (),
+        max_length=64,
+        description="stations with a new coordinate that an operator has confirmed, as the issue base_moved names them",
+    )
     datum: Name = Field("WGS84", description="datum of the positions, defined by the base or the corrections")
     nmea_date: date | None = Field(None, description="UTC date of a stream without RMC and ZDA")
     publish_observations: bool = Field(False, description="publish the receiver's raw observations")

@@ -22,10 +22,11 @@ from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 # Chosen, as bounds on memory: an epoch has 8 messages at most, a port one base station; beyond, the oldest goes.
 _MAX_MESSAGES, _MAX_STATIONS = 32, 16
 _NUMBER_BITS = 12  # of a message, 4.2
-# Messages 1005 and 1006: before a coordinate, in 0.1 mm, are two flags or reserved bits.
-_STATION: BitLayout = (_NUMBER_BITS, "station_id", 6 + 4, "x", 2, "y", 2, "z")
+# Messages 1005 and 1006: coordinates in 0.1 mm; before x is DF141, before y and z two flags or reserved bits.
+_STATION: BitLayout = (_NUMBER_BITS, "station_id", 6 + 3, "is_virtual", "x", 2, "y", 2, "z")
 _STATION_FIELDS = {
     "station_id": BitField(12),
+    "is_virtual": BitField(1),
     **dict.fromkeys("xyz", BitField(38, signed=True)),
     "height": BitField(16),
 }
@@ -35,11 +36,15 @@ _DATA_SOURCES = {1045: 258.0, 1046: 517.0}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceStation:
-    """Message 1005 or 1006: the antenna reference point, and (1006) its height above the marker."""
+    """Message 1005 or 1006: the antenna reference point, and (1006) its height above the marker.
+
+    `is_virtual` (DF141): computed by a network, not observed by a receiver there.
+    """
 
     station_id: int
     position_ecef_m: tuple[float, float, float]
     antenna_height_m: float | None
+    is_virtual: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -176,6 +181,7 @@ def _reference_station(payload: bytes, number: int) -> ReferenceStation:
         station_id=integers["station_id"],
         position_ecef_m=(x, y, z),
         antenna_height_m=integers["height"] * 1e-4 if number == 1006 else None,
+        is_virtual=bool(integers["is_virtual"]),
     )
 
 

@@ -29,12 +29,16 @@ StreamProtocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"]
 _FIRST_LABEL = b"RINEX VERSION / TYPE"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StationPosition:
-    """An antenna's reference point, ECEF, and the station's label, as its stream states them."""
+    """An antenna's reference point, ECEF, and the station's label, as its stream states them.
+
+    `is_virtual`: of a station that a network computes for the vehicle.
+    """
 
     position_ecef_m: tuple[float, float, float]
     label: str = "unnamed"
+    is_virtual: bool = False
 
 
 DecodedItem = (
@@ -146,7 +150,13 @@ class StreamReader:
         if isinstance(result, BaseStationEpoch):
             return [(self._station, result.epoch)]
         if isinstance(result, ReferenceStation):
-            return [(self._station, StationPosition(result.position_ecef_m, f"rtcm-{result.station_id}"))]
+            label, virtual = f"rtcm-{result.station_id}", result.is_virtual
+            return [
+                (
+                    self._station,
+                    StationPosition(position_ecef_m=result.position_ecef_m, label=label, is_virtual=virtual),
+                )
+            ]
         return [(self._stream, result)] if isinstance(result, DecodedItem) else []
 
     def _marker(self) -> StationPosition | None:
@@ -164,7 +174,9 @@ class StreamReader:
         x, y, z = marker + np.array([east_m, north_m, up_m]) @ enu_from_ecef_rotation(latitude, longitude)
         if not np.isfinite(latitude):
             return None
-        return StationPosition((float(x), float(y), float(z)), f"rinex-{header.marker or 'unnamed'}")
+        return StationPosition(
+            position_ecef_m=(float(x), float(y), float(z)), label=f"rinex-{header.marker or 'unnamed'}"
+        )
 
 
 def _decoder(

@@ -9,7 +9,7 @@ import numpy as np
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.gnss.candidates.engine_candidates import RecentEpochs
-from camber.gnss.observations.base_station import station_name
+from camber.gnss.observations.base_watch import BaseWatch
 from camber.gnss.observations.receiver_streams import DecodedItem, StationPosition, Stream
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
@@ -39,12 +39,17 @@ class Rover:
     """
 
     def __init__(
-        self, settings: EngineSettings, base_ecef_m: tuple[float, float, float] | None = None
+        self,
+        settings: EngineSettings,
+        base_ecef_m: tuple[float, float, float] | None = None,
+        bases: BaseWatch | None = None,
     ) -> None:
-        self.engine = Engine(settings, None if base_ecef_m is None else np.array(base_ecef_m))
+        self.engine = Engine(settings)
         self.recent = RecentEpochs(settings)
+        self.bases = bases if bases is not None else BaseWatch()
         self._base_is_given = base_ecef_m is not None
-        self._base_station = station_name("given", self.engine.base.position_ecef_m)
+        if base_ecef_m is not None:
+            self._move_base(StationPosition(position_ecef_m=base_ecef_m, label="given"))
         self._heading = HeadingFilter()
         self._wheel_speed_m_s: float | None = None
         self._wheel_ns = 0
@@ -62,9 +67,11 @@ class Rover:
             case IonosphereCoefficients() if item.system == "G":
                 self.engine.ionosphere = np.array((*item.alpha, *item.beta))
             case StationPosition() if stream == "base" and not self._base_is_given:
-                position = np.array(item.position_ecef_m)
-                self.engine.set_base_position(position)
-                self._base_station = station_name(item.label, position)
+                self._move_base(item)
+
+    def _move_base(self, station: StationPosition) -> None:
+        self.engine.set_base_position(np.array(station.position_ecef_m))
+        self.bases.station_stated(self.engine.base, station, is_given=self._base_is_given)
 
     def receive_motion(self, motion: Motion) -> None:
         """Use the vehicle's sensors for the heading alone: no position depends on them."""
@@ -81,6 +88,7 @@ class Rover:
     def solve(self, epoch: ObservationEpoch) -> SolvedEpoch:
         """Solve one epoch with everything received so far."""
         solution = self.engine.solve(epoch)
+        self.bases.remember(self.engine.base)
         self.recent.keep(solution)
         velocity, wheel = solution.velocity, self._wheel_speed_m_s
         # A recent wheel speed gives the direction of travel.
@@ -92,5 +100,5 @@ class Rover:
             epoch=epoch,
             solution=solution,
             heading=self._heading.at(epoch.time_ns),
-            base_station=self._base_station if differenced else None,
+            base_station=self.engine.base.name if differenced else None,
         )

@@ -13,7 +13,6 @@ HELP: dict[EngineWarning, str] = {
     "base_out_of_order": "of the base, late or repeated; two streams in one?",
     "base_time_went_back": "of the base; restarted?",
     "base_position_missing": "expected 1005, 1006 or a RINEX header in its stream, or base_ecef_m",
-    "base_position_wrong": "not a position on the earth",
     "rover_out_of_order": "late or repeated",
     "rover_time_went_back": "the receiver's clock was set",
     "rover_clock_step": "the receiver stepped its clock; harmless",
@@ -48,6 +47,8 @@ def _detail(warning: EngineWarning, engine: Engine) -> str:
         missing = sorted(engine.missing_ephemerides().items())
         more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
         return ", ".join(f"{satellite} {why}" for satellite, why in missing[:_MOST_NAMED]) + more
-    if warning == "base_position_wrong" and engine.base.miss_m is not None:
-        return f"its single point is {engine.base.miss_m:.0f} m away"
+    if warning == "base_position_wrong":
+        return f"its coordinate: {engine.base.coordinate_error()}"
+    if warning == "base_moved":
+        return f"its coordinate: {engine.base.move}; confirmed_bases accepts {engine.base.name}"
     return HELP.get(warning, "")

@@ -51,12 +51,14 @@ EngineWarning = Literal[
     "base_time_went_back",
     "base_position_missing",
     "base_position_wrong",
+    "base_moved",
     "ephemeris_missing",
     "rover_out_of_order",
     "rover_time_went_back",
     "rover_clock_step",
 ]
-"""`base_position_wrong`: the base's own single point contradicts its coordinate. `ephemeris_missing`: of a satellite.
+"""`base_position_wrong`: the base's own single points contradict its coordinate. `base_moved`: it is not the one of
+earlier days, and not confirmed. `ephemeris_missing`: of a satellite.
 `rover_clock_step`: the receiver stepped its clock, as many do by a millisecond now and then; harmless."""
 _CLOCK_STEP_M = 3.0e4  # chosen: 0.1 ms, a tenth of the usual step of 1 ms
 _LONGEST_STEP_NS = 2_000_000_000  # chosen: over a longer gap drift and step cannot be separated
@@ -212,6 +214,9 @@ class Engine:
         if base.coordinate(self.ephemerides, self.ionosphere) == "implausible":
             self.warnings["base_position_wrong"] += 1
             return "base_position_wrong", age_s
+        if base.move is not None:
+            self.warnings["base_moved"] += 1
+            return "base_moved", age_s
         return None, age_s
 
     def _warn_of_rover(self, single: SinglePoint, ephemeris: Integers) -> None:

@@ -78,6 +78,18 @@ def test_reference_station_is_read_back_and_by_pyrtcm(x, y, z, station_id, heigh
     ]
 
 
+@pytest.mark.parametrize("height", [None, 1.5])
+def test_a_virtual_station_is_read_as_one_also_by_pyrtcm(height):
+    frame = format_reference_station((1.0, -2.0, 3.0), station_id=7, antenna_height_m=height)
+    payload = bytearray(frame[3:-3])
+    payload[33 // 8] |= 0x80 >> 33 % 8  # DF141, after message and station number (24), year (6), systems (3)
+    virtual = rtcm_frame(bytes(payload))
+    assert RTCMReader.parse(virtual).DF141 == 1
+    (station,) = RtcmDecoder(0).feed(virtual)
+    assert station.is_virtual
+    assert station.position_ecef_m == pytest.approx((1.0, -2.0, 3.0))
+
+
 def test_station_out_of_range_is_refused():
     with pytest.raises(ValueError, match=r"reference station y \[m\] is 1.4e\+07, expected -1.37439e\+07"):
         format_reference_station((0.0, 1.4e7, 0.0), station_id=1)

@@ -7,6 +7,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.gnss.observations.base_offset import offset_over_days
 from camber.gnss.observations.base_station import BaseStation, station_name
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.position.single_point import NO_IONOSPHERE
@@ -61,7 +62,7 @@ def test_a_coordinate_that_is_put_right_is_looked_at_at_once():
     base = BaseStation(base_ecef_m() + 450.0 * EAST)
     base.add(drive().base[0])
     assert base.coordinate(drive().store, NO_IONOSPHERE) == "implausible"
-    assert base.miss_m == pytest.approx(450.0, abs=30.0)
+    assert base.miss_ecef_m == pytest.approx(-450.0 * EAST, abs=30.0)
     assert base.move_to(base_ecef_m())
     assert not base.move_to(base_ecef_m())
     assert base.coordinate(drive().store, NO_IONOSPHERE) == "plausible"
@@ -72,12 +73,66 @@ def test_it_is_looked_at_every_ten_seconds_and_with_every_epoch_while_it_is_wron
     for off_m, expected in ((0.0, [0, 10, 20]), (450.0, list(range(25)))):
         base, checked = BaseStation(base_ecef_m() + off_m * EAST), []
         for second, epoch in enumerate(d.base):
-            base.miss_m = None
+            base.miss_ecef_m = None
             base.add(epoch)
             base.coordinate(d.store, NO_IONOSPHERE)
-            if base.miss_m is not None:
+            if base.miss_ecef_m is not None:
                 checked.append(second)
         assert checked == expected
+
+
+@functools.cache
+def minutes():
+    return open_sky_drive(seed=4, seconds=130)
+
+
+def after_minutes(offset_ecef_m) -> BaseStation:
+    base = BaseStation(base_ecef_m() + offset_ecef_m)
+    for epoch in minutes().base:
+        base.add(epoch)
+        base.coordinate(minutes().store, NO_IONOSPHERE)
+    return base
+
+
+@pytest.mark.parametrize("east_m", [12.0, -12.0])
+def test_a_base_twelve_metres_off_is_named_with_its_vector_after_a_minute(east_m):
+    base = BaseStation(base_ecef_m() + east_m * EAST)
+    outcomes = []
+    for epoch in minutes().base[:70]:
+        base.add(epoch)
+        outcomes.append(base.coordinate(minutes().store, NO_IONOSPHERE))
+    assert set(outcomes[:50]) == {"plausible"}, "one epoch does not show it"
+    assert outcomes[-1] == "implausible"
+    east, north, up = (-value for value in base.offset.enu_m)
+    assert (east, north) == (pytest.approx(east_m, abs=4.0), pytest.approx(0.0, abs=4.0))
+    assert base.coordinate_error() == (
+        f"{east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up from its single points over minutes"
+    )
+
+
+def test_the_true_coordinate_is_plausible_over_minutes_and_a_changed_one_begins_anew():
+    base = after_minutes(np.zeros(3))
+    assert base.offset is not None
+    assert not base.offset.is_wrong
+    base.move_to(base_ecef_m() + 2.0 * EAST)
+    assert base.offset is None
+
+
+def test_offsets_of_earlier_days_count_from_the_first_epoch():
+    base = BaseStation(base_ecef_m())
+    base.offset_over_days = offset_over_days([((5.0, 0.0, 0.0), (1.0, 1.0, 5.0))] * 20)
+    base.add(drive().base[0])
+    assert base.coordinate(drive().store, NO_IONOSPHERE) == "implausible"
+    assert base.coordinate_error() == (
+        "-5.00 m east, +0.00 m north, +0.00 m up from its single points over 20 days"
+    )
+
+
+def test_what_is_no_place_has_no_vector():
+    base = BaseStation(np.zeros(3) + np.nan)
+    base.add(drive().base[0])
+    assert base.coordinate(drive().store, NO_IONOSPHERE) == "implausible"
+    assert base.coordinate_error() == "not a position on the earth"
 
 
 def test_late_epochs_are_not_taken():

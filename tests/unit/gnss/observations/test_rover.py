@@ -85,8 +85,8 @@ def test_only_a_base_that_has_no_given_position_is_where_its_stream_says(sky: Sk
     assert rover.engine.base.position_ecef_m == pytest.approx(given)
     rover = ready(sky)
     assert rover.engine.base.position_ecef_m == pytest.approx(sky.station.position_ecef_m)
-    rover.receive("rover", StationPosition(given))
-    rover.receive("ephemerides", StationPosition(given))
+    rover.receive("rover", StationPosition(position_ecef_m=given))
+    rover.receive("ephemerides", StationPosition(position_ecef_m=given))
     assert rover.engine.base.position_ecef_m == pytest.approx(sky.station.position_ecef_m)
 
 
@@ -107,7 +107,7 @@ def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
     x, y, z = sky.station.position_ecef_m
     for label, up_m in (("rtcm-2", 0.0), ("rtcm-1", 0.05)):
         rover = ready(sky)
-        rover.receive("base", StationPosition((x, y, z + up_m), label))
+        rover.receive("base", StationPosition(position_ecef_m=(x, y, z + up_m), label=label))
         assert first_of(rover, sky).base_station == f"{label}@{x:.3f}:{y:.3f}:{z + up_m:.3f}"
     assert first_of(ready(sky, (x, y, z)), sky).base_station == f"given@{x:.3f}:{y:.3f}:{z:.3f}"
 

@@ -312,5 +312,5 @@ def test_refused_ephemerides_are_reported_with_the_reason():
 
 
 def test_every_warning_has_a_text_that_helps():
-    assert set(get_args(EngineWarning)) == {*HELP, "ephemeris_missing"}
+    assert set(get_args(EngineWarning)) == {*HELP, "ephemeris_missing", "base_position_wrong", "base_moved"}
     assert all(len(text) > 10 for text in HELP.values())
