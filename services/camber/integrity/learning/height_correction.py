@@ -31,6 +31,7 @@ Mode = Literal["per_cause", "document"]
 _MOST_CELLS = 96  # chosen: some 2 km in cells of 20 m, many times the correlation length of the map's error
 _MOST_PARTS = 16  # chosen: more base stations and map versions than one drive meets; bounds the memory
 _LONGEST_STEP_S = 10.0  # chosen: a pause in the fixes must not let the correction jump by the rate times it
+_OF_ALL_FIXES = ("base", "drift")  # where fixes are off sideways, their heights are those of other places
 _LEAST_SIGMA_M = 0.01  # of a stretch: no fix is better, whatever it claims
 
 
@@ -160,7 +161,7 @@ class Learning:
     def _learn(self, cell: ResidualCell) -> None:
         """One step towards the common part of the stretches remembered."""
         part = self._part(cell.key)
-        if self.causes.common.cause == "base" or cell.surface_id in self.causes.roads:
+        if self.causes.common.cause in _OF_ALL_FIXES or cell.surface_id in self.causes.roads:
             return
         last_ns = part.cells[-1][0].end_ns if part.cells else cell.begin_ns
         part.cells.append((cell, part.correction.correction_m))
@@ -198,7 +199,7 @@ class Learning:
             self._undo(part, earlier.onset_ns)
         elif _may_be_the_road(diagnosis):
             self._undo(part, diagnosis.onset_ns, keep=True)
-        if diagnosis.onset_ns is None or diagnosis.cause not in ("antenna", "base"):
+        if diagnosis.onset_ns is None or diagnosis.cause not in ("antenna", *_OF_ALL_FIXES):
             return
         if diagnosis.cause == "antenna" and part.held_m is not None:
             return  # what drifts is not made right by having gone far

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.residuals import FixResidual, ReferenceKey
+from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
@@ -40,15 +42,8 @@ def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float
         key=key_of(base_of(fix), pose, antenna),
         link_id=pose.link_id if pose is not None else None,
     )
-    if pose is not None and pose.provenance in _FREE_OF_THIS_FIX:
-        east_m, north_m = result.position_m
-        residual = replace(
-            residual,
-            east_m=east_m,
-            north_m=north_m,
-            horizontal_sigma_m=result.position_sigma_m,
-            anchored_ns=None if pose.mode == "scan_match" else pose.anchor_time_ns,
-        )
+    if pose is not None:
+        residual = _with_horizontal(residual, judgement, result, pose)
     if road is None or antenna is None or antenna.height_m is None:
         return residual
     return replace(
@@ -58,3 +53,47 @@ def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float
         map_sigma_m=road.sigma_m,
         surface_id=road.surface_id,
     )
+
+
+def _with_horizontal(
+    residual: FixResidual, judgement: FixJudgement, result: FixComparison, pose: Pose
+) -> FixResidual:
+    """With the difference from the independent position; where there is none, from a pose free of this fix.
+
+    A scan match is precise and rests on no fix: each stretch of it counts for itself. An independent position of
+    another basis has errors that last: `independent_offset` judges it by its covariance.
+    """
+    east_m, north_m = result.position_m
+    sigma_m, anchored_ns = result.position_sigma_m, pose.anchor_time_ns
+    free = pose.provenance in _FREE_OF_THIS_FIX
+    independent = pose.independent
+    if independent is not None and pose.latitude_rad is not None and pose.longitude_rad is not None:
+        apart_m = east_north_between(
+            independent.latitude_rad, independent.longitude_rad, pose.latitude_rad, pose.longitude_rad
+        )
+        east_m, north_m = east_m + apart_m[0], north_m + apart_m[1]
+        (ee, en, nn), fix_sigma_m = independent.covariance_east_north, _fix_sigma_m(judgement.fix)
+        residual = replace(
+            residual,
+            independent=(east_m, north_m, ee, en, nn, fix_sigma_m),
+            evidence_ns=independent.evidence_time_ns,
+        )
+        sigma_m = math.sqrt(larger_eigenvalue(ee, en, nn) + fix_sigma_m**2)
+        free, anchored_ns = independent.basis == "scan_match", None
+    if not free:
+        return residual
+    return replace(
+        residual,
+        east_m=east_m,
+        north_m=north_m,
+        horizontal_sigma_m=sigma_m,
+        anchored_ns=None if pose.mode == "scan_match" else anchored_ns,
+    )
+
+
+def _fix_sigma_m(fix: Fix) -> float:
+    """In its worst horizontal direction."""
+    if fix.covariance_enu_m2 is None:
+        return math.inf
+    ee, en, _, nn, _, _ = fix.covariance_enu_m2
+    return math.sqrt(larger_eigenvalue(ee, en, nn))

@@ -3,8 +3,10 @@
 All judged fixes count, also the erroneous ones: one wrong fix is a wrong fix, but where stretch after stretch
 differs by the same vector, something else is wrong.
 
-- **base** (or datum): fixes are off by one vector. Its horizontal part shows against a pose that owes nothing to them:
-  a scan match, or one that leans on no fix since they are off.
+- **base** (or datum): fixes are off by one vector. Its horizontal part shows against the independent position
+  (`independent_offset`), a scan match, or, without an independent position, a pose that leans on no fix since they are
+  off. Heights that are off alike on several links by more than any antenna could be show it too.
+- **drift**: fixes are led away from the independent position along a growing vector.
 - **antenna**: heights are off alike on several links, and the horizontal position is seen to be right.
 - **road**: one stretch differs, the roads before and after it do not; and a fix there was verified otherwise, or
   another drive over it found the same.
@@ -22,8 +24,9 @@ import math
 import statistics
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from camber.integrity.learning.independent_offset import IndependentOffsetRules, IndependentOffsets
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, distance_m
 from camber.schemas.integrity import Cause
 
@@ -31,6 +34,7 @@ ISSUE_CODES: dict[Cause, str] = {
     "antenna": "antenna_changed",
     "road": "road_changed",
     "base": "base_wrong",
+    "drift": "fixes_led_away",
     "ambiguous": "cause_ambiguous",
 }
 """Under which a named cause stands in health."""
@@ -48,6 +52,10 @@ class CauseRules:
     the share of the stretches that must agree with one another. Roads are built, and surveyed, from crossing to
     crossing, and sometimes on to the next: an antenna shows on `antenna_links`, with `link_cells` on each, over
     `antenna_distance_m`.
+
+    A common height beyond `antenna_limit_m` is no antenna's: deflated tyres, load and suspension make less than 0.3 m,
+    and another mast on the same vehicle stands on a roof whose height is the same. Where it is chosen too small, an
+    antenna is called a base; neither is learnt beyond the cap of 0.3 m.
     """
 
     cell_m: float = 20.0
@@ -67,6 +75,8 @@ class CauseRules:
     antenna_distance_m: float = 400.0
     again_s: float = 60.0
     link_cells: int = 2
+    antenna_limit_m: float = 1.0
+    independent: IndependentOffsetRules = field(default_factory=IndependentOffsetRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +123,7 @@ class OffsetCauses:
         self.rules = rules
         self.common = NO_OFFSET
         self.roads = {road.surface_id: road for road in roads}
+        self._independent = IndependentOffsets(rules.independent)
         self._collector = CellCollector(rules.cell_m)
         self._map_version = roads[0].map_version if roads else None
         self._seen: deque[_Seen] = deque(maxlen=_MOST_CELLS)
@@ -134,9 +145,13 @@ class OffsetCauses:
 
     def update(self, residual: FixResidual, correction_m: float) -> None:
         """Take a residual, whatever its verdict; `correction_m` is that in force."""
-        cell = self._collector.add(residual)
-        if cell is None:
-            return
+        sampled, cell = self._independent.update(residual), self._collector.add(residual)
+        if cell is not None:
+            self._add(cell, correction_m)
+        if sampled or cell is not None:
+            self._name(self._current_cause())
+
+    def _add(self, cell: ResidualCell, correction_m: float) -> None:
         if cell.up_m is not None and cell.key.map_version != self._map_version:
             if self._map_version is not None:  # else nothing here is from another map
                 self._forget_map(cell.key.map_version)
@@ -144,7 +159,6 @@ class OffsetCauses:
         seen = _Seen(cell, correction_m)
         self._seen.append(seen)
         self._follow_roads(seen)
-        self._name(self._common_cause())
 
     def _forget_map(self, version: int) -> None:
         """Differences from another map are none from this one."""
@@ -160,6 +174,16 @@ class OffsetCauses:
         if result.cause != "none":
             self._news.append(result)
         self.common = result
+
+    def _current_cause(self) -> Diagnosis:
+        """What the independent position shows goes before what cells show: its vector is that of now."""
+        cells, fault = self._common_cause(), self._independent.fault
+        if fault is None:
+            return cells
+        diagnosis = Diagnosis(
+            cause=fault.kind, onset_ns=fault.onset_ns, up_m=cells.up_m, east_north_m=fault.east_north_m
+        )
+        return _with_detail(diagnosis, fault.describe())
 
     def _common_cause(self) -> Diagnosis:
         """Of the longest row of newest cells that differ by one vector."""
@@ -351,7 +375,10 @@ def _cause_of(
     links = sum(count >= rules.link_cells for count in cells_on.values())
     driven_m = sum(distance_m(a, b) for a, b in itertools.pairwise(cells))
     if links < rules.antenna_links or driven_m < rules.antenna_distance_m:
-        return _with_detail(diagnosis, f"antenna or road, {links} links so far")
+        other = "base" if offset.up_m is not None and abs(offset.up_m) > rules.antenna_limit_m else "antenna"
+        return _with_detail(diagnosis, f"{other} or road, {links} links so far")
+    if offset.up_m is not None and abs(offset.up_m) > rules.antenna_limit_m:
+        return _with_detail(replace(diagnosis, cause="base"), "base or datum: more than any antenna could be")
     if offset.east_north_m is None:
         return _with_detail(diagnosis, "antenna or base: no pose that owes nothing to fixes")
     return _with_detail(replace(diagnosis, cause="antenna"), f"alike on {links} links")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.schemas.integrity import VerdictValue
 
+_FAR_M = 1e5  # chosen: no position that is compared lies so far away
 MOST_FIXES = 256
 """In one cell; chosen: a vehicle that stands observes nothing new of the road."""
 
@@ -33,7 +34,9 @@ class FixResidual:
     `up_m` is `h_r − (h_m + h_a)` of JP7707657B2 eq. (4), `fix_sigma_m` that of fix and antenna together,
     `map_sigma_m` the road's.
     `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
-    time of the newest confirmed fix that the pose leans on, None where it leans on none. `link_id` is the road's, from
+    time of the newest confirmed fix that the pose leans on, None where it leans on none. `independent` is fix less
+    independent position, east and north, its covariance (ee, en, nn), and σ of the fix; `evidence_ns` is the time of
+    its last evidence. `link_id` is the road's, from
     crossing to crossing; a surface is a piece of it.
     """
 
@@ -52,6 +55,8 @@ class FixResidual:
     key: ReferenceKey = ReferenceKey()
     link_id: int | None = None
     anchored_ns: int | None = None
+    independent: tuple[float, float, float, float, float, float] | None = None
+    evidence_ns: int | None = None
 
     @property
     def confirmed(self) -> bool:
@@ -71,6 +76,16 @@ class FixResidual:
             return None
         usable = math.isfinite(self.east_m + self.north_m) and 0.0 < self.horizontal_sigma_m < math.inf
         return (self.east_m, self.north_m, self.horizontal_sigma_m) if usable else None
+
+    @property
+    def known_independent(self) -> tuple[float, float, float, float, float, float] | None:
+        """`independent` where its numbers can be used: a place near it, a covariance, and a σ."""
+        if self.independent is None:
+            return None
+        east_m, north_m, ee, en, nn, fix_sigma_m = self.independent
+        near = abs(east_m) < _FAR_M and abs(north_m) < _FAR_M and 0.0 <= fix_sigma_m < _FAR_M
+        usable = near and 0.0 < ee < _FAR_M**2 and 0.0 < nn < _FAR_M**2 and ee * nn > en * en
+        return self.independent if usable else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,8 @@ from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.height_residual import base_of, key_of, residual_of
 from camber.integrity.learning.residuals import ReferenceKey
-from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, pose, road
+from camber.schemas.pose import IndependentPosition
+from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, place, pose, road
 
 COMPARISON = FixComparison(
     difference_m=np.array([0.3, -0.1, 0.15]),
@@ -86,6 +87,54 @@ def test_any_other_does_not(the_pose):
     of = residual(pose=the_pose)
     assert (of.east_m, of.north_m, of.horizontal_sigma_m, of.anchored_ns) == (None, None, None, None)
     assert of.up_m is not None
+
+
+def independent(basis, east_m=0.0, north_m=0.0):
+    """Metres from the pose, and less sure than it."""
+    latitude_rad, longitude_rad = place(3, east_m, north_m)
+    return IndependentPosition(
+        basis=basis,
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
+        covariance_east_north=(0.09, 0.01, 0.04),
+        evidence_time_ns=at(2),
+        distance_m=2.0,
+    )
+
+
+def led_away(basis, **changes):
+    """A pose that fixes have led 5 m east and 1 m south of the independent position."""
+    changes = {"mode": "anchored", "provenance": "confirmed", "anchor_time_ns": at(2)} | changes
+    latitude_rad, longitude_rad = place(3)
+    return pose(
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
+        independent=independent(basis, -5.0, 1.0),
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("basis", ["scan_match", "relief", "given"])
+def test_the_independent_position_is_compared_wherever_fixes_have_led_the_pose(basis):
+    of = residual(pose=led_away(basis), fix=fix(3, covariance_enu_m2=(4e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)))
+    assert of.independent == pytest.approx((5.3, -1.1, 0.09, 0.01, 0.04, 0.02), abs=1e-4)
+    assert of.evidence_ns == at(2)
+
+
+def test_of_independent_positions_a_scan_match_counts_by_stretch_too():
+    of = residual(pose=led_away("scan_match"))
+    assert (of.east_m, of.north_m) == pytest.approx((5.3, -1.1), abs=1e-4)
+    assert of.horizontal_sigma_m == pytest.approx(0.304, abs=1e-3)
+    assert of.anchored_ns is None
+    for basis in ("relief", "given"):
+        of = residual(pose=led_away(basis))
+        assert (of.east_m, of.north_m, of.horizontal_sigma_m) == (None, None, None)
+
+
+def test_without_a_covariance_of_the_fix_or_a_place_of_the_pose_nothing_is_usable():
+    assert residual(pose=led_away("relief"), fix=fix(3, covariance_enu_m2=None)).known_independent is None
+    nowhere = led_away("relief", mode="none").model_copy(update={"latitude_rad": None})
+    assert residual(pose=nowhere).independent is None
 
 
 def test_its_reference_is_known_as_far_as_the_messages_name_it():

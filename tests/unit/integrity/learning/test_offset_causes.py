@@ -107,6 +107,57 @@ def test_an_antenna_moves_all_surfaces_alike_where_the_position_is_seen_to_be_ri
     assert result.text == "-0.40 m up, +0.00 m east, +0.00 m north: alike on 3 links"
 
 
+@pytest.mark.parametrize("up_m", [17.7, -17.7, 1.2])
+@pytest.mark.parametrize("begin", [0, 600], ids=["from the start", "later"])
+def test_a_height_that_no_antenna_has_on_all_links_is_base_or_datum(up_m, begin):
+    """17.7 m: a public data set whose base coordinate is that much too high."""
+    causes = OffsetCauses(RULES)
+    update(causes, 0, begin)
+    off = {"verdict": "erroneous", "up_m": up_m, "east_m": None}
+    assert update(causes, begin, begin + 180, **off).cause == "ambiguous"
+    assert "base or road, " in causes.common.text
+    result = update(causes, begin + 180, begin + 800, **off)
+    assert (result.cause, result.up_m) == ("base", pytest.approx(up_m))
+    assert result.text == f"{up_m:+.2f} m up: base or datum: more than any antenna could be"
+
+
+def test_a_height_that_an_antenna_may_have_is_no_base():
+    causes = OffsetCauses(RULES)
+    assert update(causes, 0, 800, verdict="erroneous", up_m=0.9, east_m=None).cause == "ambiguous"
+    assert update(OffsetCauses(RULES), 0, 800, verdict="erroneous", up_m=0.9).cause == "antenna"
+
+
+def test_on_one_link_alone_metres_of_height_may_be_another_road():
+    causes = OffsetCauses(RULES)
+    assert update(causes, 0, 800, verdict="erroneous", up_m=6.0, east_m=None, link_id=3).cause == "ambiguous"
+
+
+@pytest.mark.parametrize(
+    ("rate_m_s", "cause", "text"),
+    [
+        (0.0, "base", "+8.00 m east, -6.00 m north: fixes are off by one vector"),
+        (0.4, "drift", "fixes are led away by +0.40 m/s east, -0.30 m/s north"),
+    ],
+)
+def test_what_the_independent_position_shows_is_named_with_its_vector(rate_m_s, cause, text):
+    causes = OffsetCauses(RULES)
+    for epoch in range(0, 600, 5):
+        size_m = 8.0 if rate_m_s == 0.0 else rate_m_s * epoch / 10
+        off = (size_m, -0.75 * size_m, 0.3, 0.0, 0.3, 0.02)
+        causes.update(residual(epoch, up_m=None, east_m=None, independent=off), 0.0)
+    assert causes.common.cause == cause
+    assert causes.common.text.endswith(text)
+    assert [news.cause for news in causes.news()] == [cause]
+
+
+def test_a_vector_has_the_height_that_stretches_show():
+    causes = OffsetCauses(RULES)
+    for epoch in range(0, 1200, 5):
+        off = (12.0, 0.0, 0.3, 0.0, 0.3, 0.02)
+        causes.update(residual(epoch, up_m=3.0, east_m=None, independent=off), 0.0)
+    assert (causes.common.cause, causes.common.up_m) == ("base", pytest.approx(3.0))
+
+
 def test_on_a_link_or_two_it_may_be_the_road(causes):
     result = update(causes, 600, 780, verdict="erroneous", up_m=-0.4)
     assert result.cause == "ambiguous"
@@ -401,5 +452,6 @@ def test_each_cause_has_its_code_in_health():
         "antenna": "antenna_changed",
         "road": "road_changed",
         "base": "base_wrong",
+        "drift": "fixes_led_away",
         "ambiguous": "cause_ambiguous",
     }

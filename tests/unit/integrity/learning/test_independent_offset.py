@@ -1,0 +1,231 @@
+"""Bases that are off and fixes that are led away, against independent positions of whatever errors and precision."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.learning.independent_offset import (
+    _FAST,
+    _MODELS,
+    _MOST_SAMPLES,
+    _SLOW,
+    IndependentOffsetRules,
+    IndependentOffsets,
+    _error_covariance,
+)
+from support.independent_drives import ERRORS, Drive, residuals
+from support.residual_drives import KEY, residual
+
+RULES = IndependentOffsetRules()
+STEADY = Drive(seconds=400)
+
+
+def fault(drive, vector_m=(0.0, 0.0), rate_m_s=(0.0, 0.0), at_s=0.0, until_s=math.inf):
+    """(n, 2) along and across."""
+    time_s = np.arange(int(drive.seconds * drive.rate_hz)) / drive.rate_hz
+    on = ((time_s >= at_s) & (time_s < until_s))[:, None]
+    return on * np.array(vector_m) + np.maximum(time_s - at_s, 0.0)[:, None] * np.array(rate_m_s)
+
+
+def first_named(drive, seed, fault_m=None):
+    """Seconds until something is named, and what; None: nothing was."""
+    offsets = IndependentOffsets(RULES)
+    for epoch, one in enumerate(residuals(drive, seed, fault_m)):
+        offsets.update(one)
+        if offsets.fault is not None:
+            return epoch / drive.rate_hz, offsets.fault
+    return None
+
+
+def enu(drive, along_m, across_m):
+    cos, sin = math.cos(drive.heading_rad), math.sin(drive.heading_rad)
+    return along_m * cos - across_m * sin, along_m * sin + across_m * cos
+
+
+# --- what has to be named ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_s", [0.0, 100.0])
+@pytest.mark.parametrize("sigma_m", [0.3, 0.8])
+def test_a_base_twelve_metres_off_is_named_within_two_minutes(at_s, sigma_m):
+    print("seeds 0 to 2")
+    drive = replace(STEADY, seconds=at_s + 60.0, sigma_m=sigma_m)
+    for seed in range(3):
+        named_s, named = first_named(drive, seed, fault(drive, (12.0, 0.0), at_s=at_s))
+        assert named.kind == "base"
+        assert named_s - at_s <= 120.0
+        assert named.east_north_m == pytest.approx(enu(drive, 12.0, 0.0), abs=4.0 * math.hypot(sigma_m, 0.2))
+        assert named.describe() == "fixes are off by one vector"
+
+
+@pytest.mark.parametrize("vector_m", [(1.7, 0.0), (0.0, -1.7)])
+def test_a_base_two_metres_off_is_named_within_five_minutes_where_sigma_allows(vector_m):
+    print("seeds 0 to 2")
+    drive = replace(STEADY, seconds=300.0, sigma_m=0.3)
+    for seed in range(3):
+        _, named = first_named(drive, seed, fault(drive, vector_m))
+        assert named.kind == "base"
+        assert named.east_north_m == pytest.approx(enu(drive, *vector_m), abs=0.8)
+
+
+@pytest.mark.parametrize(
+    ("rate_m_s", "sigma_m", "most_s"), [((0.3, 0.0), 0.5, 20.0), ((0.0, 0.05), 0.3, 60.0)]
+)
+@pytest.mark.parametrize("at_s", [0.0, 100.0])
+def test_fixes_led_away_are_named_in_time_with_their_rate(rate_m_s, sigma_m, most_s, at_s):
+    print("seeds 0 to 3")
+    drive = replace(STEADY, seconds=at_s + 80.0, sigma_m=sigma_m)
+    for seed in range(4):
+        named_s, named = first_named(drive, seed, fault(drive, rate_m_s=rate_m_s, at_s=at_s))
+        assert named.kind == "drift"
+        assert named_s - at_s <= most_s
+        assert named.growth_m_s == pytest.approx(enu(drive, *rate_m_s), abs=0.12)
+        assert named.describe().startswith("fixes are led away by ")
+
+
+def test_where_sigma_does_not_allow_it_nothing_is_named():
+    drive = replace(STEADY, seconds=300.0, errors="constant", sigma_m=3.0)
+    assert first_named(drive, 1, fault(drive, (0.0, 1.7))) is None
+
+
+# --- what must not be named -------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("errors", ERRORS)
+@pytest.mark.parametrize("sigma_m", [0.3, 2.0])
+def test_right_fixes_are_never_named_whatever_goes_on_with_the_independent_errors(errors, sigma_m):
+    """An hour of driving for each of ten cases."""
+    print("seeds 0 to 3")
+    for seed in range(4):
+        assert first_named(Drive(seconds=900, errors=errors, sigma_m=sigma_m), seed) is None
+
+
+@pytest.mark.slow
+def test_episodes_of_wrong_fixes_are_no_base_and_no_drift():
+    """A quarter of the fixes, metres off, for up to a minute."""
+    print("seeds 0 to 5")
+    drive = Drive(seconds=600, sigma_m=0.3)
+    for seed in range(6):
+        rng = np.random.default_rng(100 + seed)
+        off_m, at_s = np.zeros((600, 2)), 0
+        while at_s < 600:
+            at_s += int(rng.exponential(60.0)) + 1
+            lasts_s = 1 + min(int(rng.exponential(20.0)), 59)
+            off_m[at_s : at_s + lasts_s] = rng.normal(0.0, 1.0, 2)
+            at_s += lasts_s
+        assert first_named(drive, seed, off_m) is None
+
+
+# --- how it ends ------------------------------------------------------------------------------------------------
+
+
+def test_a_fault_that_is_over_ends_and_one_that_goes_on_does_not():
+    drive = replace(STEADY, seconds=300.0)
+    offsets, named = IndependentOffsets(RULES), []
+    for one in residuals(drive, 3, fault(drive, (12.0, 0.0), at_s=60.0, until_s=200.0)):
+        offsets.update(one)
+        named.append(offsets.fault is not None)
+    assert not any(named[:60])
+    assert all(named[80:200])
+    assert not any(named[212:])
+
+
+def test_a_fault_lasts_where_sigma_has_grown_and_its_onset_is_when_it_began():
+    drive = replace(STEADY, seconds=200.0)
+    offsets = IndependentOffsets(RULES)
+    for epoch, one in enumerate(residuals(drive, 3, fault(drive, (12.0, 0.0), at_s=40.0))):
+        variance_m2 = 0.25 + 2.0 * max(epoch - 100, 0)
+        offsets.update(replace(one, independent=(*one.independent[:2], variance_m2, 0.0, variance_m2, 0.02)))
+    assert offsets.fault.kind == "base"
+    assert offsets.fault.onset_ns == pytest.approx(residual(0).time_ns + 40e9, abs=4e9)
+
+
+def test_what_was_led_away_and_stands_then_is_still_that():
+    drive = replace(STEADY, seconds=240.0, sigma_m=0.3)
+    off_m = np.minimum(fault(drive, rate_m_s=(0.3, 0.0)), 15.0)
+    offsets = IndependentOffsets(RULES)
+    for one in residuals(drive, 1, off_m):
+        offsets.update(one)
+    assert offsets.fault.kind == "drift"
+
+
+def test_another_base_begins_anew_and_so_does_a_clock_that_was_set_back():
+    drive = replace(STEADY, seconds=30.0)
+    rows = list(residuals(drive, 1, fault(drive, (12.0, 0.0))))
+    for change in (
+        {"key": replace(KEY, base="another")},
+        {"time_ns": rows[0].time_ns - 10**12},
+    ):
+        offsets = IndependentOffsets(RULES)
+        for one in rows:
+            offsets.update(one)
+        assert offsets.fault is not None
+        for one in (replace(rows[0], **change), replace(rows[0], **change)):
+            offsets.update(one)
+        last = replace(rows[0], **change)
+        offsets.update(replace(last, time_ns=last.time_ns + 3 * 10**9))
+        assert offsets.fault is None
+
+
+def test_its_memory_is_bounded_and_reaches_farther_than_it_is_long():
+    offsets = IndependentOffsets(RULES)
+    for number in range(3 * _MOST_SAMPLES):
+        offsets.update(residual(20 * number, independent=(0.0, 0.0, 0.1, 0.0, 0.1, 0.02)))
+    assert len(offsets._samples) <= _MOST_SAMPLES
+    span_s = (offsets._samples[-1].time_ns - offsets._samples[0].time_ns) / 1e9
+    assert span_s > 1.2 * 2.0 * _MOST_SAMPLES
+
+
+# --- any numbers ------------------------------------------------------------------------------------------------
+
+
+anything = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-30.0, 30.0))
+variances = st.one_of(st.floats(1e-4, 100.0), anything)
+
+
+@settings(derandomize=True, deadline=None, max_examples=25)
+@given(
+    st.lists(
+        st.tuples(anything, anything, variances, anything, variances, variances), min_size=20, max_size=40
+    )
+)
+def test_no_numbers_whatever_stop_it_and_vectors_named_are_numbers(rows):
+    offsets = IndependentOffsets(RULES)
+    for number, row in enumerate(rows):
+        offsets.update(residual(20 * number, independent=row))
+        named = offsets.fault
+        assert named is None or all(map(math.isfinite, (*named.east_north_m, *named.growth_m_s)))
+
+
+@settings(derandomize=True, deadline=None)
+@given(
+    st.lists(st.floats(1e-6, 1e4), min_size=2, max_size=30),
+    st.lists(st.floats(0.0, 500.0), min_size=29, max_size=29),
+)
+def test_each_covariance_of_the_errors_is_one_and_has_the_variances_given(variances_m2, steps_m):
+    variance_m2, step_m = np.array(variances_m2), np.array(steps_m[: len(variances_m2) - 1])
+    for coherent, renewal in _MODELS:
+        covariance_m2 = _error_covariance(variance_m2, step_m, renewal, coherent=coherent)
+        assert np.diag(covariance_m2) == pytest.approx(variance_m2)
+        assert np.linalg.eigvalsh(covariance_m2)[0] >= -1e-9 * variance_m2.max()
+
+
+def test_errors_of_dead_reckoning_have_independent_increments_and_evidence_renews_them():
+    grown_m2 = np.array([1.0, 2.0, 4.0])
+    still = _error_covariance(grown_m2, np.zeros(2), _SLOW, coherent=False)
+    assert still[2, 2] + still[0, 0] - 2.0 * still[0, 2] == pytest.approx(3.0), "what was added since"
+    assert _error_covariance(grown_m2, np.zeros(2), _SLOW, coherent=True)[0, 2] == pytest.approx(2.0)
+    far = _error_covariance(np.ones(2), np.array([1e5]), _FAST, coherent=False)
+    assert far[0, 1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_residuals_without_an_independent_position_are_no_samples():
+    offsets = IndependentOffsets(RULES)
+    for number in range(20):
+        assert not offsets.update(residual(20 * number))
+    assert offsets.fault is None
