@@ -32,6 +32,7 @@ from camber.validation.protection import (
     percentiles,
     positions_by_epoch,
     stanford,
+    usable_share,
 )
 from camber.validation.reference_trajectory import ReferenceTrajectory
 
@@ -108,6 +109,8 @@ def evaluate(
         ),
         "position": {
             "availability": availability(positions, epochs),
+            "usable": usable_share(positions, epochs),
+            "horizontal_reference": _horizontal_references(recorded),
             "alert_limit_m": _alert_limit_m(positions, drive),
             "error_m": percentiles(positions.horizontal_error_m, {"p50": 0.5, "p95": 0.95, "p999": 0.999}),
         },
@@ -196,6 +199,11 @@ def _baselines(
     figures = {name: decision_statistics(fixes, each, truth=truth) for name, each in decisions.items()}
     figures["height_only"] = {"tolerance_m": tolerance_m, **figures["height_only"]}
     return figures
+
+
+def _horizontal_references(recorded: Mapping[str, Sequence[Recorded[Any]]]) -> list[str]:
+    """The judge's settings that the positions name; one where it was not changed."""
+    return sorted({item.message.horizontal_reference for item in recorded.get("position", ())})
 
 
 def _alert_limit_m(positions: Positions, drive: DriveFacts) -> float | None:

@@ -47,6 +47,7 @@ class Positions:
     vertical_alert_limit_m: Float64
     semi_major_99_m: Float64
     semi_minor_99_m: Float64
+    usable: Flags
 
     @property
     def horizontal_error_m(self) -> Float64:
@@ -104,6 +105,7 @@ def positions_by_epoch(
         hpl_m=column("horizontal_protection_level_m"),
         vpl_m=column("vertical_protection_level_m"),
         error_enu_m=error_m,
+        usable=np.array([message.usable for message in messages], np.bool_),
         **columns,
     )
 
@@ -125,6 +127,16 @@ def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
     row, exists = last_row_of_epochs(positions.time_ns, epoch_time_ns)
     small = positions.semi_major_999_m < positions.alert_limit_m
     return float((small[row] & exists).mean())
+
+
+def usable_share(positions: Positions, epoch_time_ns: Int64) -> float | None:
+    """Share of the epochs whose position says that it is usable; None without epochs."""
+    if not len(epoch_time_ns):
+        return None
+    if not len(positions.time_ns):
+        return 0.0
+    row, exists = last_row_of_epochs(positions.time_ns, epoch_time_ns)
+    return float((positions.usable[row] & exists).mean())
 
 
 def last_row_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:

@@ -135,6 +135,9 @@ def test_positions_count_once_an_epoch_by_the_last_one_published() -> None:
     s = run(by_hand())
     # Radii 0.1, 0.6, 0.9, 0.1 are below 1.5 m, 3.0 is not, epoch 5 has no position: 4 of 6.
     assert s["position"]["availability"] == pytest.approx(4 / 6)
+    # Five of six epochs have a position, and each says that it is usable.
+    assert s["position"]["usable"] == pytest.approx(5 / 6)
+    assert s["position"]["horizontal_reference"] == ["required"]
     # Horizontal errors 0.05, 0.5, 1, 2, 5: the median is the third, the others the last.
     assert s["position"]["error_m"] == pytest.approx({"p50": 1.0, "p95": 5.0, "p999": 5.0}, abs=1e-6)
 
@@ -247,7 +250,8 @@ def test_the_position_of_an_epoch_is_the_last_one_within_half_a_step() -> None:
 def test_an_empty_recording_has_counts_of_zero_and_nothing_else() -> None:
     s = evaluate({}, facts(), RunFacts(), truth()).summary
     assert (s["epochs"], s["tentative"]["fixed"], s["confirmed"]["count"]) == (0, 0, 0)
-    assert s["position"]["availability"] is None
+    assert s["position"]["availability"] is s["position"]["usable"] is None
+    assert s["position"]["horizontal_reference"] == []
     assert s["latency_ms"] == {"p50": None, "p99": None}
     assert json.loads(json.dumps(s, allow_nan=False)) == s
 

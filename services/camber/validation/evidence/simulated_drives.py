@@ -56,7 +56,7 @@ def run_drive(
         "episodes": summary["episodes"],
         "controls": summary["controls"],
         "levels": levels_by_source(positions_of),
-        "usable": summary["position"]["availability"],
+        "usable": summary["position"]["usable"],
         **block_counts(positions_of, epoch_ns),
     }
 

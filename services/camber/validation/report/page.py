@@ -114,6 +114,7 @@ def _tiles(summary: dict[str, Any]) -> str:
     confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
     position, error_m, latency = summary["position"], summary["position"]["error_m"], summary["latency_ms"]
     limit_m = position["alert_limit_m"]
+    reference = " and ".join(position["horizontal_reference"]) or "not known"
     fixes = f"{_count(summary['tentative']['wrong'])} of {summary['tentative']['fixed']:,} fixes were wrong"
     without_truth = confirmed["truth_unknown"]
     fixes += f"; {without_truth:,} confirmed where the truth is not known" if without_truth else ""
@@ -126,6 +127,11 @@ def _tiles(summary: dict[str, Any]) -> str:
             "Position available",
             _percent(position["availability"]),
             f"of epochs: 99.9 % radius below {limit}",
+        ),
+        _plain_tile(
+            "Position usable",
+            _percent(position["usable"]),
+            f"of epochs: both protection levels below their limits; horizontal reference {reference}",
         ),
         _plain_tile(
             "Horizontal error, 95 %",
