@@ -89,7 +89,7 @@ class Learning:
         self, rules: LearningRules, parts: Sequence[CorrectionState] = (), roads: Sequence[RoadChange] = ()
     ) -> None:
         self.rules = rules
-        self.causes = OffsetCauses(rules.causes, roads)
+        self.causes = OffsetCauses(replace(rules.causes, map_errors=rules.map_errors), roads)
         self._parts = {(part.antenna, part.base): part for part in parts}
         self._cells = CellCollector(rules.causes.cell_m)
 

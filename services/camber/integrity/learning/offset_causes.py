@@ -26,8 +26,12 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.learning.independent_offset import IndependentOffsetRules, IndependentOffsets
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, distance_m
+from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 from camber.schemas.integrity import Cause
 
 ISSUE_CODES: dict[Cause, str] = {
@@ -77,6 +81,7 @@ class CauseRules:
     link_cells: int = 2
     antenna_limit_m: float = 1.0
     independent: IndependentOffsetRules = field(default_factory=IndependentOffsetRules)
+    map_errors: MapErrorModel = MAP_ERRORS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,14 +311,28 @@ def _along(cell: ResidualCell, east_north_m: tuple[float, float] | None) -> floa
     return (cell.horizontal_m[0] * east_m + cell.horizontal_m[1] * north_m) / (east_m**2 + north_m**2)
 
 
+def _mean_sigma_m(cells: Sequence[ResidualCell], map_errors: MapErrorModel) -> float:
+    """σ of the mean height difference of cells, whose map errors are correlated."""
+    first = cells[0]
+    place_m = np.array(
+        [
+            east_north_between(first.latitude_rad, first.longitude_rad, cell.latitude_rad, cell.longitude_rad)
+            for cell in cells
+        ]
+    )
+    map_m2 = map_errors.covariance_m2(place_m, np.array([cell.map_sigma_m for cell in cells])).mean()
+    fix_m2 = statistics.fmean(cell.fix_sigma_m**2 for cell in cells) / len(cells)
+    return math.sqrt(float(map_m2) + fix_m2)
+
+
 def _height(cells: Sequence[ResidualCell], before_m: float, rules: CauseRules) -> tuple[float | None, bool]:
     known = [(cell.up_m - before_m, cell) for cell in cells if cell.up_m is not None]
     if len(known) < rules.least_cells:
         return None, False
     middle_m = statistics.median(up_m for up_m, _ in known)
-    # The map's error goes on from one cell to the next (by 1/e after its own length): it averages out half as fast.
-    variance_m2 = statistics.fmean(cell.fix_sigma_m**2 + 2.2 * cell.map_sigma_m**2 for _, cell in known)
-    if abs(middle_m) < max(rules.least_height_m, rules.sigmas * math.sqrt(variance_m2 / len(known))):
+    if abs(middle_m) < rules.least_height_m:
+        return middle_m, False
+    if abs(middle_m) < rules.sigmas * _mean_sigma_m([cell for _, cell in known], rules.map_errors):
         return middle_m, False
     nearer = [abs(up_m - middle_m) < abs(up_m) for up_m, _ in known]
     newest_m = statistics.median(up_m for up_m, _ in known[-rules.least_cells :])

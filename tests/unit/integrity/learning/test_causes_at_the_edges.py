@@ -3,9 +3,11 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from camber.integrity.learning.offset_causes import NO_OFFSET, CauseRules, OffsetCauses, RoadChange
+from camber.road_map.map_error_model import MAP_ERRORS
 from support.residual_drives import KEY, START_NS, residual
 
 RULES = CauseRules()
@@ -82,10 +84,12 @@ def test_it_stands_where_most_of_its_first_half_is_what_its_second_half_is(low, 
 
 
 @pytest.mark.parametrize(("fix_sigma_m", "map_sigma_m"), [(0.2, 0.0), (0.0, 0.2), (0.2, 0.2)])
-def test_a_height_counts_beyond_five_sigmas_of_the_mean_to_which_the_map_adds_twice(fix_sigma_m, map_sigma_m):
-    """Of ten stretches; the map's variance counts 2.2 times."""
+def test_a_height_counts_beyond_five_sigmas_of_the_mean_whose_map_errors_are_alike(fix_sigma_m, map_sigma_m):
+    """Of ten stretches, 20 m apart; their places are not quite that far from one another on the ellipsoid."""
     sigmas = {"fix_sigma_m": fix_sigma_m, "map_sigma_m": map_sigma_m}
-    least_m = 5.0 * math.sqrt((fix_sigma_m**2 + 2.2 * map_sigma_m**2) / 10)
+    along_m = 20.0 * np.arange(10.0)[:, None]
+    map_m2 = MAP_ERRORS.covariance_m2(along_m, np.full(10, map_sigma_m)).mean()
+    least_m = 5.0 * math.sqrt(fix_sigma_m**2 / 10 + map_m2)
     assert result([{"up_m": 1.1 * least_m} | sigmas] * 10).cause == "ambiguous"
     assert result([{"up_m": 0.9 * least_m} | sigmas] * 10) == NO_OFFSET
 

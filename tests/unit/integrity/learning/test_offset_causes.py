@@ -209,15 +209,15 @@ def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():
     ("changes", "cause"), [({"base": "receiver:WGS84"}, "base"), ({"antenna": "fixed"}, "antenna")]
 )
 def test_what_changed_at_the_onset_decides(causes, changes, cause):
-    result = update(causes, 600, 800, up_m=0.2, east_m=None, key=replace(KEY, **changes))
+    result = update(causes, 600, 800, up_m=0.3, east_m=None, key=replace(KEY, **changes))
     assert result.cause == cause
-    assert result.text == f"+0.20 m up: since the {cause} changed"
+    assert result.text == f"+0.30 m up: since the {cause} changed"
 
 
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"antenna": "fixed"}], ids=str)
 def test_what_changed_a_stretch_later_decides_nothing(causes, changes):
-    update(causes, 600, 620, up_m=0.2, east_m=None)
-    assert update(causes, 620, 820, up_m=0.2, east_m=None, key=replace(KEY, **changes)).cause == "ambiguous"
+    update(causes, 600, 620, up_m=0.3, east_m=None)
+    assert update(causes, 620, 820, up_m=0.3, east_m=None, key=replace(KEY, **changes)).cause == "ambiguous"
 
 
 def test_where_both_changed_at_the_onset_nothing_is_decided_by_that(causes):
@@ -455,3 +455,11 @@ def test_each_cause_has_its_code_in_health():
         "drift": "fixes_led_away",
         "ambiguous": "cause_ambiguous",
     }
+
+
+def test_long_errors_of_the_map_are_no_cause():
+    """5 cm with the measured scales: with stretches taken as independent 36 causes were named in 40 drives of 400 s."""
+    for seed in range(4):
+        learning = Learning(LearningRules())
+        for _ in drive(learning, seed, 300.0, 0.0, Noise(map_sigma_m=0.05, wrong=0.0)):
+            assert learning.news() == [], seed
