@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.replay.one_process import DriveOutput
 from camber.schemas.base import Int64
 from camber.schemas.integrity import Position, Verdict
@@ -19,7 +20,7 @@ from camber.validation.reference_trajectory import truth_of
 
 NAMES = frozenset({"base", "drift"})
 """Causes of a verdict that name a common fault horizontally."""
-_NAMING_ISSUES = {"base_wrong": "base", "fixes_drift": "drift", "base_drift": "drift", "drift": "drift"}
+_NAMING_ISSUES = {code: cause for cause, code in ISSUE_CODES.items() if cause in NAMES}
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _RIGHT_M = 0.2  # as the evidence page defines it
 _WARM_UP_M = 2_000.0  # chosen: until then relief need not show a place

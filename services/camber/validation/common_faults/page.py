@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.validation.common_faults.fault_cases import CASES, CommonFault
 from camber.validation.markdown import columns, percent
 
@@ -118,11 +119,7 @@ def _is_control(row: Mapping[str, Any]) -> bool:
 
 def _alarms(row: Mapping[str, Any]) -> int:
     """Causes and issues that name a fault where there is none: each kind of a drive once."""
-    issues = {
-        code
-        for code in row["issues"]
-        if code in ("base_wrong", "antenna_changed", "road_changed", "cause_ambiguous")
-    }
+    issues = set(row["issues"]) & set(ISSUE_CODES.values())
     return len(set(row["causes"]) | issues)
 
 
