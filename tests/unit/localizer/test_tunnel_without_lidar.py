@@ -28,4 +28,6 @@ def test_a_link_that_is_off_differently_after_each_vertex_does_not_make_the_pose
     figures = blind(tunnel_drive(113, duration_s=220.0)).figures()
     assert figures["epochs"] > 1500
     assert figures["in_ellipse_99"] > 0.97
-    assert figures["sigma_median_m"] < 3.0
+    assert (
+        figures["sigma_median_m"] < 4.0
+    )  # the lane's own σ, `PoseModel.lane_sigma_m`: with more the links hold nothing

@@ -52,7 +52,7 @@ class MotionModel:
     yaw_rate_bias_time_s: float = 20_000.0
     yaw_rate_bias_bound_rad_s: float = math.radians(3.75)  # of an ESP sensor over life and temperature
     yaw_rate_noise_rad_s: float = math.radians(0.1)
-    yaw_rate_scale_sigma: float = 0.002
+    yaw_rate_scale_sigma: float = 0.01  # sensitivity and non-linearity of an ESP sensor
     yaw_rate_scale_bound: float = 0.04
     steering_bias_sigma_rad: float = math.radians(0.5)
     steering_bias_time_s: float = 20_000.0
