@@ -19,8 +19,9 @@ covariances that bound what dead reckoning and its evidence do, each times e^(�
 - one scale or heading error grows with the way: cov = σᵢ σⱼ, with the slow renewal.
 
 u is the way driven in lengths L = max(σ² / q, least), over which a steady error is renewed: with q, by which the
-variance grows in a metre, new errors of σ² replace the old after L. A way counts once there is evidence at its end:
-until then the error is the old one and more.
+variance grows in a metre, new errors of σ² replace the old after L. The slow renewal bounds how far an error may
+be averaged: a way counts once there is evidence at its end, until then the error is the old one and more. The fast one
+bounds how far it may change: each way counts, for links and turns move the position without being evidence.
 
 numpy only. Arrays (n,) by sample, metres and seconds.
 """
@@ -222,12 +223,14 @@ def _statistics(
     seen_m = np.array([each.east_north_m for each in samples])
     covariances = np.array([((ee, en), (en, nn)) for ee, en, nn in (s.covariance_m2 for s in samples)])
     _, axes = np.linalg.eigh(covariances[-1])
-    step_m = _distances_with_evidence(samples)
+    driven_m = np.diff([each.driven_m for each in samples])
+    with_evidence_m = _distances_with_evidence(samples)
     fix_m2 = np.array([each.fix_sigma_m**2 for each in samples])
     total: list[Floats] = []
     sizes: list[Floats] = []
     variances = [np.maximum(np.einsum("i,nij,j->n", a, covariances, a), 1e-6) for a in axes.T]
     for coherent, renewal in _MODELS:
+        step_m = driven_m if renewal is _FAST else with_evidence_m
         chi2, size = np.zeros(templates.shape[1]), np.zeros((2, templates.shape[1]))
         for axis, variance_m2 in zip(axes.T, variances, strict=True):
             covariance_m2 = _error_covariance(variance_m2, step_m, renewal, coherent=coherent)
@@ -256,7 +259,7 @@ def _distances_with_evidence(samples: list[_Sample]) -> Floats:
 def _error_covariance(
     variance_m2: Floats, step_m: Floats, renewal: tuple[float, float], *, coherent: bool
 ) -> Floats:
-    """(n, n) of an independent position's errors along one axis; `step_m` (n - 1,) as `_distances_with_evidence`."""
+    """(n, n) of an independent position's errors along one axis; `step_m` (n - 1,) driven that count."""
     growth_m2_m, least_m = renewal
     length_m = np.maximum(0.5 * (variance_m2[1:] + variance_m2[:-1]) / growth_m2_m, least_m)
     renewed = np.concatenate(((0.0,), np.cumsum(step_m / length_m)))
