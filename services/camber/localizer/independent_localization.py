@@ -23,6 +23,7 @@ from camber.localizer.links.link_cache import LinkCache
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_queries import MapQueries, MapQueryFailure
+from camber.localizer.relief.height_states import HEIGHT_STATES
 from camber.schemas import pose as schema
 from camber.schemas.motion import Motion
 from camber.schemas.road import (
@@ -63,7 +64,7 @@ class IndependentLocalization:
         *,
         links_radius_m: float,
     ) -> None:
-        self.position = IndependentPoseFilter(model)
+        self.position = IndependentPoseFilter(model, extra_states=HEIGHT_STATES)
         self.plane: LocalPlane | None = None
         """The plane of the position; None before the first start."""
         self.active = False
@@ -105,6 +106,14 @@ class IndependentLocalization:
         if self.position.start(pose, "given"):
             self.plane = plane
             self._restart()
+
+    def start_by_relief(self, pose: StartPose, plane: LocalPlane) -> bool:
+        """Start from a pose by heights in a plane; return whether it was used."""
+        if not self.position.start(pose, "relief"):
+            return False
+        self.plane = plane
+        self._restart()
+        return True
 
     def plane_for(self, latitude_rad: float, longitude_rad: float) -> LocalPlane:
         """Return the plane; a new one where there is no position in it and it is far away."""

@@ -27,6 +27,8 @@ from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_queries import Diagnostics, MapQueries
 from camber.localizer.matching.scan_matcher import ScanMatcher, ScanMatchOptions
+from camber.localizer.relief.height_errors import HeightErrorModel
+from camber.localizer.relief_localization import ReliefLocalization
 from camber.localizer.road.road_below_antenna import RoadBelowAntenna, attitude_on_road
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
@@ -40,7 +42,10 @@ _UPPER = np.triu_indices(3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalizationOptions:
-    """Parameters of the localizer. `antenna_z_m`: above the road at rest. `matching` None: sweeps are not used."""
+    """Parameters of the localizer. `antenna_z_m`: above the road at rest.
+
+    `matching` None: sweeps are not used; `relief` None: neither are heights of fixes.
+    """
 
     model: PoseModel = field(default_factory=PoseModel)
     antenna_z_m: float = 0.0
@@ -48,6 +53,7 @@ class LocalizationOptions:
     road_sigma_limit_m: float = 15.0
     given: GivenPose | None = None
     matching: ScanMatchOptions | None = None
+    relief: HeightErrorModel | None = field(default_factory=HeightErrorModel)
 
 
 class LocalizationOutput(NamedTuple):
@@ -74,8 +80,17 @@ class Localization:
         self.independent = IndependentLocalization(
             model, self._lever_m, map_queries, links_radius_m=options.links_radius_m
         )
-        """The position in which no fix has a part."""
+        """The position in which no fix's east and north has a part."""
         self._filter.use_sensors_of(self.independent.position.filter)
+        self._relief: ReliefLocalization | None = None
+        if options.relief is not None:
+            self._relief = ReliefLocalization(
+                options.relief,
+                self._lever_m,
+                self.independent,
+                map_queries=map_queries,
+                diagnostics=diagnostics,
+            )
         self._road = RoadBelowAntenna(options.road_sigma_limit_m, map_queries, diagnostics)
         self.matcher: ScanMatcher | None = None
         """The scan matcher, for pictures of its matches; None where sweeps are not used."""
@@ -109,9 +124,11 @@ class Localization:
         return given is not None
 
     def on_fix(self, fix: Fix) -> None:
-        """Use an unconfirmed fix to start, where the filter accepts one."""
+        """Use an unconfirmed fix to start, where the filter accepts one, and its height for the relief."""
         if fix.quality != "fixed":
             return
+        if self._relief is not None:
+            self._relief.on_fix(fix, self._filter)
         if not self._filter.accepts_fixes:
             self._start.reset()
             return
@@ -176,6 +193,9 @@ class Localization:
         covariance = covariance_at_offset(estimate.covariance, east_m, north_m)
         latitude_rad, longitude_rad = plane.geodetic(estimate.east_m + east_m, estimate.north_m + north_m)
         road = self._road.update(estimate, latitude_rad, longitude_rad)
+        if self._relief is not None:
+            antenna_m = estimate.east_m + east_m, estimate.north_m + north_m
+            self._relief.note_road(plane, antenna_m, road)
         self._links.note_map_version(road.map_version)
         self.independent.note_map_version(road.map_version)
         if self.matcher is not None:

@@ -17,6 +17,7 @@ from camber.localizer.matching.layered_matching import LayerChoice, MatchOptions
 from camber.localizer.matching.registration import Method
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
+from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.runtime.settings import ServiceSettings
 
 # The defaults below are those of the parameter sets: each number stands once.
@@ -53,6 +54,9 @@ class LocalizerSettings(ServiceSettings):
     )
     couple_links: bool = Field(_MODEL.couple_links, description="couple dead reckoning to the map's links")
     match_sweeps: bool = Field(True, description="match sweeps to the map's clouds, where there are some")
+    use_relief: bool = Field(
+        True, description="determine the independent position by heights of fixes over the map's relief"
+    )
     layer_bounds_m: tuple[float, ...] = Field(
         (_MATCHING.layer_bounds_m[0][0], *(high for _, high in _MATCHING.layer_bounds_m)),
         min_length=2,
@@ -107,6 +111,7 @@ class LocalizerSettings(ServiceSettings):
             road_sigma_limit_m=self.road_sigma_limit_m,
             given=given,
             matching=self._matching() if self.match_sweeps else None,
+            relief=HeightErrorModel() if self.use_relief else None,
         )
 
     def _matching(self) -> ScanMatchOptions:

@@ -32,7 +32,8 @@ def test_other_fixes_and_verdicts_give_the_same_bytes(seed: int, kind: str) -> N
     random = Random(seed)
     kept, others = [], []
     for disturbed in (False, True):
-        drive = Drive(initial_pose=GIVEN)
+        # Arbitrary fixes have arbitrary heights, which the relief would use.
+        drive = Drive(initial_pose=GIVEN, use_relief=kind != "arbitrary")
         for k in range(250):
             tenth, messages = drive.tenth + 1, []
             if disturbed:
