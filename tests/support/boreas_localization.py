@@ -39,7 +39,7 @@ _ORIGIN_M = (622_000.0, 4_848_500.0)  # of the plane that stands for the recordi
 _START_NS = 1_300_000_000 * 1_000_000_000
 _MOVING_M_S = 0.1
 _VERTICES = 40
-BOTH_WAYS = (DAYS, DAYS[::-1])
+BOTH_DAYS = (DAYS, DAYS[::-1])
 FAULT_AFTER_M = 1500.0
 """Path driven before fixes are led away."""
 Fault = Callable[[float, float, float], tuple[float, float]]
@@ -247,12 +247,12 @@ def localize(
             if pose is not None and pose.mode != "none":
                 localization.on_verdict(Verdict(verdict="confirmed", reason="none", **common))
             row = [now * 1e-9, path_m[k], last_heading, rows[k, 1], rows[k, 2], *fix_m]
-            found = None if pose is None else pose.independent
-            if found is None:
+            result = None if pose is None else pose.independent
+            if result is None:
                 row += [math.nan] * 5
             else:
-                east, north = FRAME.east_north_from_geodetic(found.latitude_rad, found.longitude_rad, 0.0)
-                row += [east + _ORIGIN_M[0], north + _ORIGIN_M[1], *found.covariance_east_north]
+                east, north = FRAME.east_north_from_geodetic(result.latitude_rad, result.longitude_rad, 0.0)
+                row += [east + _ORIGIN_M[0], north + _ORIGIN_M[1], *result.covariance_east_north]
             kept.append(row)
         else:
             localization.advance()
@@ -273,7 +273,7 @@ def localize(
 def main() -> None:
     """Print the tables of the localizer of docs/theory/relief.md."""
     for links in (True, False):
-        for days in BOTH_WAYS:
+        for days in BOTH_DAYS:
             drive, _ = localize(*days, links=links)
             known, error = drive.known, np.abs(drive.error_m[drive.known])
             along, across = np.quantile(error, [0.5, 0.95, 1.0], axis=0).T.round(2)
@@ -284,7 +284,7 @@ def main() -> None:
                 f"largest χ² of a right fix {np.nanmax(drive.fault_chi2()):.1f}",
                 flush=True,
             )
-    for days in BOTH_WAYS:
+    for days in BOTH_DAYS:
         for from_m in (500.0, 2500.0, 4500.0):
             for along, across in ((0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)):
                 fault = led_away(along, across)

@@ -194,7 +194,7 @@ def is_determined(result: ShiftEstimate | None) -> bool:
 def estimates(map_day: str, drive_day: str, *, length_m: float, spacing_m: float = 10.0) -> list[Estimated]:
     """Return the results of windows of a length, each half a window on, with 70 % of the road on the map."""
     drive = relief_drive(map_day, drive_day, spacing_m=spacing_m)
-    found = []
+    results = []
     for from_m in np.arange(0.0, drive.path_m[-1] - length_m, 0.5 * length_m).tolist():
         part = drive.part(from_m, from_m + length_m)
         result = None if len(part.path_m) < _LEAST_KNOWN * length_m / spacing_m else estimate(part)
@@ -204,7 +204,7 @@ def estimates(map_day: str, drive_day: str, *, length_m: float, spacing_m: float
         axes = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
         along, across = axes @ result.shift
         sigma = np.sqrt(np.diag(axes @ result.covariance @ axes.T))
-        found.append(
+        results.append(
             Estimated(
                 from_m=from_m,
                 along_m=float(along),
@@ -215,7 +215,7 @@ def estimates(map_day: str, drive_day: str, *, length_m: float, spacing_m: float
                 determined=is_determined(result),
             )
         )
-    return found
+    return results
 
 
 def fault_alarm(chi2: float) -> bool:
@@ -246,12 +246,12 @@ def base_offset(
 def main() -> None:
     """Print the tables of docs/theory/relief.md."""
     for length_m in (200.0, 500.0, 1000.0, 1500.0):
-        windows = [found for days in (DAYS, DAYS[::-1]) for found in estimates(*days, length_m=length_m)]
-        counted = [found for found in windows if found.determined]
-        along = np.quantile(np.abs([found.along_m for found in counted]), [0.5, 0.95, 1.0])
-        across = np.quantile(np.abs([found.across_m for found in counted]), [0.5, 0.95, 1.0])
-        chi2 = np.array([found.chi2 for found in counted])
-        sigma = np.median([found.along_sigma_m for found in counted])
+        windows = [window for days in (DAYS, DAYS[::-1]) for window in estimates(*days, length_m=length_m)]
+        counted = [window for window in windows if window.determined]
+        along = np.quantile(np.abs([window.along_m for window in counted]), [0.5, 0.95, 1.0])
+        across = np.quantile(np.abs([window.across_m for window in counted]), [0.5, 0.95, 1.0])
+        chi2 = np.array([window.chi2 for window in counted])
+        sigma = np.median([window.along_sigma_m for window in counted])
         print(
             f"{length_m:5g} m: {len(counted)} of {len(windows)}; along {along.round(2)} across {across.round(2)} m, "
             f"σ along {sigma:.2f} m; in the 99 % ellipse {(chi2 < 9.21).mean():.3f}, largest χ² {chi2.max():.1f}",

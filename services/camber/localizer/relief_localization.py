@@ -22,7 +22,7 @@ from camber.localizer.map_queries import Diagnostics, MapQueries, MapQueryFailur
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.height_states import HeightStates
 from camber.localizer.relief.relief_start import PlacedPose, ReliefStart
-from camber.localizer.relief.road_ribbon import RoadPlane
+from camber.localizer.relief.road_ribbon import RibbonPlane
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Road
 from camber.schemas.road import ElevationRequest
@@ -34,7 +34,7 @@ _LOST_SIGMA_M: Final = 10.0  # chosen: dead reckoning has left the road that the
 _CURVATURE_PER_M: Final = 4e-4  # derived: a crest of 2.5 km radius, the least for 60 km/h (RAS-L 1995)
 _REOPEN_AFTER: Final = 5  # chosen: this many heights in a row and 20 m are a lasting offset of the fixes
 _EVIDENCE_NATS: Final = math.log(2.0)  # chosen: the heights have halved the area of the position's ellipse
-_MAX_LINKS: Final = 16
+_MAX_LINKS: Final = 16  # derived: the most that an `ElevationRequest` holds
 
 
 class ReliefLocalization:
@@ -71,7 +71,7 @@ class ReliefLocalization:
             self._start_plane = plane
             self._start.forget()
         slopes = road.slope_east, road.slope_north
-        self._start.add_road(RoadPlane(*antenna_m, road.elevation_m, road.sigma_m or 0.0, *slopes))
+        self._start.add_road(RibbonPlane(*antenna_m, road.elevation_m, road.sigma_m or 0.0, *slopes))
 
     def on_fix(self, fix: Fix, pose: PoseFilter) -> None:
         """Use the height of a fix; `pose` begins the search for a start."""

@@ -16,9 +16,9 @@ from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.road_map.map_error_model import STATES
 
-OFFSET: Final = 0
-FIX: Final = 1
-MAP: Final = 2
+OFFSET: Final = 0  # index, from the first extra state
+FIX: Final = 1  # index
+MAP: Final = 2  # index of the first of the map's
 HEIGHT_STATES: Final = 2 + STATES
 
 

@@ -21,7 +21,7 @@ from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import TrackPoint
 from camber.localizer.relief.height_errors import HeightErrorModel
-from camber.localizer.relief.road_ribbon import RoadPlane, RoadRibbon
+from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
 from camber.localizer.relief.track_errors import track_error_modes
 from camber.localizer.relief.window_estimate import HeightWindow, estimate_shift
 
@@ -31,8 +31,8 @@ _PRIOR_YAW_RAD: Final = math.radians(2.0)  # chosen: fixes led away across by 0.
 _SPACING_M: Final = 10.0  # chosen: shorter than the road's waves, longer than what a map's error needs
 _WINDOW_M: Final = 1000.0  # chosen: dead reckoning errs by 0.5 % of it
 _LEAST_M: Final = 200.0  # chosen: on fewer heights the model of errors is not tested
-_LEAST_COUNT: Final = 15
-_EVERY_M: Final = 100.0
+_LEAST_COUNT: Final = 15  # chosen: most of the places of that distance
+_EVERY_M: Final = 100.0  # chosen: a tenth of the window is new
 
 
 class _Height(NamedTuple):
@@ -61,7 +61,7 @@ class ReliefStart:
         sigmas = (PRIOR_SIGMA_M, PRIOR_SIGMA_M, _PRIOR_YAW_RAD, scale, bias)
         self._prior: Floats = np.diag(np.square(sigmas))
         self._heights: deque[_Height] = deque()
-        self._planes: deque[RoadPlane] = deque()
+        self._planes: deque[RibbonPlane] = deque()
         self._tried_at_m = -math.inf
 
     def forget(self) -> None:
@@ -70,7 +70,7 @@ class ReliefStart:
         self._planes.clear()
         self._tried_at_m = -math.inf
 
-    def add_road(self, plane: RoadPlane) -> None:
+    def add_road(self, plane: RibbonPlane) -> None:
         """Add the road below the pose's antenna, each few metres."""
         last = self._planes[-1] if self._planes else None
         apart_m = math.inf if last is None else math.dist(last[:2], plane[:2])
@@ -86,7 +86,9 @@ class ReliefStart:
         heights = self._heights
         if heights and track.path_m - heights[-1].track.path_m < _SPACING_M:
             return False
-        heights.append(_Height(time_ns, track, height_m, sigma_m, map_sigma_m))
+        heights.append(
+            _Height(time_ns=time_ns, track=track, height_m=height_m, sigma_m=sigma_m, map_sigma_m=map_sigma_m)
+        )
         while track.path_m - heights[0].track.path_m > _WINDOW_M:
             heights.popleft()
         long_enough = track.path_m - heights[0].track.path_m >= _LEAST_M and len(heights) >= _LEAST_COUNT

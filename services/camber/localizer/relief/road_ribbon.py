@@ -15,7 +15,7 @@ _CELL_M = 2.0  # chosen: places of one cell have the same plane
 _CHUNK = 2048  # chosen: distances in some megabytes
 
 
-class RoadPlane(NamedTuple):
+class RibbonPlane(NamedTuple):
     """The map's road about a place (m): elevation and σ (m), slopes east and north. No height but the map's."""
 
     east_m: float
@@ -29,7 +29,7 @@ class RoadPlane(NamedTuple):
 class RoadRibbon:
     """Planes every few metres; unknown beyond the reach of the nearest one."""
 
-    def __init__(self, planes: list[RoadPlane]) -> None:
+    def __init__(self, planes: list[RibbonPlane]) -> None:
         self._planes: Floats = np.array(planes)
 
     def at(self, east_m: Floats, north_m: Floats) -> TerrainHeights:

@@ -106,14 +106,14 @@ def estimate_shift(
     )
 
 
-def _is_rival(other: _Solution, best: _Solution) -> bool:
+def _is_rival(other: _ShiftSolution, best: _ShiftSolution) -> bool:
     """Return whether another minimum is at another place and of nearly the same cost."""
     away = other.shift[:2] - best.shift[:2]
     apart = float(away @ np.linalg.solve(best.covariance[:2, :2], away)) > _AMBIGUOUS_COST
     return apart and other.cost - best.cost < _AMBIGUOUS_COST
 
 
-def _without_outliers(problem: _Problem, solution: _Solution) -> tuple[_Solution, int]:
+def _without_outliers(problem: _Problem, solution: _ShiftSolution) -> tuple[_ShiftSolution, int]:
     """Reject the observations that all others contradict, the worst first: wrong fixes, another deck, a parked lane."""
     rejected = problem.rejected
     while rejected <= _MOST_REJECTED_SHARE * problem.count and problem.reject_worst(
@@ -133,7 +133,7 @@ def prior_share(covariance: Floats, prior: Floats) -> float:
     return float(np.linalg.eigvals(covariance @ np.linalg.inv(prior)).real.max())
 
 
-class _Solution(NamedTuple):
+class _ShiftSolution(NamedTuple):
     shift_and_offset: Floats
     shift: Floats
     covariance: Floats
@@ -241,7 +241,7 @@ class _Problem:
         self._white = _whitening(self._errors)
         return True
 
-    def solve(self, start: Floats) -> _Solution:
+    def solve(self, start: Floats) -> _ShiftSolution:
         """Gauss-Newton from a shift (2,), or from all parameters (k,)."""
         size = len(self._prior)
         theta: Floats = np.zeros(size + 1)
@@ -257,7 +257,7 @@ class _Problem:
         residual, jacobian = self._linearised(theta)
         covariance = _inverse(jacobian.T @ jacobian + weight)
         chi2 = float(residual @ residual)
-        return _Solution(
+        return _ShiftSolution(
             shift_and_offset=theta,
             shift=theta[:size],
             covariance=covariance[:size, :size],

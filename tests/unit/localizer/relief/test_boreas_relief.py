@@ -18,16 +18,16 @@ BOTH = (DAYS, DAYS[::-1])
 
 
 def both(length_m: float) -> list[Estimated]:
-    return [found for days in BOTH for found in estimates(*days, length_m=length_m)]
+    return [window for days in BOTH for window in estimates(*days, length_m=length_m)]
 
 
 @pytest.mark.parametrize(("length_m", "p95_m"), [(500.0, 1.0), (1000.0, 0.5)])
 def test_the_position_along_the_road(length_m: float, p95_m: float) -> None:
     """The issue's targets, over the windows whose heights determine the position; those are most of them."""
     windows = both(length_m)
-    counted = [found for found in windows if found.determined]
-    along = np.abs([found.along_m for found in counted])
-    chi2 = np.array([found.chi2 for found in counted])
+    counted = [window for window in windows if window.determined]
+    along = np.abs([window.along_m for window in counted])
+    chi2 = np.array([window.chi2 for window in counted])
     p50, p95, most = np.quantile(along, [0.5, 0.95, 1.0])
     print(f"{length_m:g} m: {len(counted)} of {len(windows)}, along {p50:.2f} {p95:.2f} {most:.2f} m")
     assert len(counted) >= 0.8 * len(windows)

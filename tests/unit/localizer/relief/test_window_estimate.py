@@ -64,7 +64,7 @@ def test_its_ellipse_holds_the_truth() -> None:
 
 
 @pytest.mark.parametrize("grade", [(0.0, 0.0), (0.03, 0.01)])
-def test_a_plane_tells_nothing(grade: tuple[float, float]) -> None:
+def test_a_plane_determines_nothing(grade: tuple[float, float]) -> None:
     """Flat, or rising evenly: the offset of the heights absorbs every shift."""
     field = flat(grade)
     window = drive(field, MODEL, shift_m=(5.0, 5.0), seed=1)
@@ -74,7 +74,7 @@ def test_a_plane_tells_nothing(grade: tuple[float, float]) -> None:
     assert np.linalg.eigvalsh(estimate.covariance)[0] > 0.97 * 400.0
 
 
-def test_a_straight_road_tells_along_only() -> None:
+def test_a_straight_road_determines_along_only() -> None:
     field = hills(3)
     window = drive(field, MODEL, shift_m=(2.0, 0.0), seed=3)
     along = window._replace(east_m=np.arange(len(window.time_s)) * 10.0, north_m=np.zeros(len(window.time_s)))
