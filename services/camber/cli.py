@@ -41,7 +41,7 @@ TOOL_GROUPS = {
         "evidence": Command(
             "camber.validation.evidence.command", "run the benchmark drives, write docs/evidence.md"
         ),
-        "common-faults": Command(
+        "common_faults": Command(
             "camber.validation.common_faults.command", "drives whose fixes are all off by one vector"
         ),
     },

@@ -1,6 +1,6 @@
 """Fixes that are led away, and a base that is off, on a hilly road without LiDAR: no usable position beyond its level.
 
-A short version of `camber common-faults`: minutes of driving instead of ten, with one seed.
+A short version of `camber common_faults`: minutes of driving instead of ten, with one seed.
 """
 
 from __future__ import annotations

@@ -1,2 +1,4 @@
-"""The road's relief as horizontal evidence: heights of fixes compared with the map's elevation, without their east and
-north. Not here: the road below the antenna (`road`), the states of the pose (`filter`)."""
+"""The road's relief as horizontal evidence: heights of fixes, without east and north, against the map's elevation.
+
+Not here: the road below the antenna (`road`), the states of the pose (`filter`).
+"""

@@ -1,4 +1,4 @@
-"""`camber common-faults`: faults that all fixes share, on flat and hilly ground, and what the judge makes of them.
+"""`camber common_faults`: faults that all fixes share, on flat and hilly ground, and what the judge makes of them.
 
 Each drive is a job of its own; its figures are kept as one file of JSON in the folder, and the page is made of the
 files that are there. `--keep` runs only what is not there yet.
@@ -28,7 +28,7 @@ from camber.validation.common_faults.fault_cases import BY_NAME
 from camber.validation.common_faults.page import page
 from camber.validation.common_faults.run import PARTS, REFERENCES, FaultJob, run_job
 
-_PROG = "camber common-faults"
+_PROG = "camber common_faults"
 GROUNDS: tuple[Ground, ...] = get_args(Ground)
 FAULT_S, LIDAR_S, LONG_S = 600.0, 110.0, 1800.0
 """Chosen: 7 km after which 0.02 m/s are 7 m; a minute and a half of LiDAR; half an hour."""

@@ -14,7 +14,7 @@ NOT_RUN = "Not run.\n"
 _HEAD = """\
 # Common faults
 
-Made by `camber common-faults --lidar --page docs/common-faults.md`. What is missing was not run. A fault is one vector
+Made by `camber common_faults --lidar --page docs/common-faults.md`. What is missing was not run. A fault is one vector
 that all fixes have in common, from its onset on; *wrong* is more than 0.5 m off in space, *right* within 0.2 m.
 *Beyond* counts usable epochs whose horizontal error exceeds the horizontal protection level. Epochs of one drive are
 one trial.

@@ -180,7 +180,12 @@ def test_without_a_given_pose_fixes_start_it_provisionally(blind: Path, tmp_path
 def test_with_a_given_pose_no_fix_changes_a_bit(blind: Path, tmp_path: Path) -> None:
     inputs = prepare_drive(load_manifest(blind), tmp_path)
     alone, with_fixes = drive_of(inputs), drive_of(inputs, fixes=receiver_fixes(inputs))
-    assert [encode(pose) for pose in alone.poses] == [encode(pose) for pose in with_fixes.poses]
+    # The independent position uses the heights of fixes.
+    first, second = (
+        [encode(pose.model_copy(update={"independent": None})) for pose in drive.poses]
+        for drive in (alone, with_fixes)
+    )
+    assert first == second
 
 
 # What is missing, and what is wrong
