@@ -59,7 +59,8 @@ class QueryClient:
 
     def alive(self, vehicle: str = "*") -> dict[str, frozenset[str]]:
         """Who has declared to be there: vehicle → services. One that hangs still has, for some seconds or for ever."""
-        present = self._watched.get(vehicle)
+        # A subscriber for all vehicles serves for one: each that is declared while a service leaves could miss that.
+        present = self._watched.get("*", self._watched.get(vehicle))
         if present is None:
             present = self._watched[vehicle] = self._watch(vehicle)
         else:
@@ -67,7 +68,8 @@ class QueryClient:
         results: defaultdict[str, set[str]] = defaultdict(set)
         for alive in present.keys:
             _, _, name, service, _ = alive.split("/")
-            results[name].add(service)
+            if vehicle in ("*", name):
+                results[name].add(service)
         return {name: frozenset(services) for name, services in results.items()}
 
     def _watch(self, vehicle: str) -> _Present:
