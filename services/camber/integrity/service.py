@@ -12,7 +12,7 @@ from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.learning.height_correction import Learning, LearningRules
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.integrity.learning.saved_state import from_text, to_text
-from camber.integrity.protection.fault_hypotheses import is_provisional
+from camber.integrity.pose_provenance import is_provisional
 from camber.integrity.protection.position_output import PositionOutput, unavailable_position
 from camber.integrity.publish_schedule import PublishSchedule
 from camber.integrity.re_estimation.requests import (

@@ -12,8 +12,8 @@ from camber.integrity.checks.start_rule import StartCount, StartFix
 from camber.integrity.checks.time_series import ChainedFix, continues_chain, next_in_chain
 from camber.integrity.checks.verification import AmbiguityHistory
 from camber.integrity.judgement import FixJudgement
+from camber.integrity.pose_provenance import is_provisional
 from camber.integrity.protection.covariance_inflation import inflate_covariance
-from camber.integrity.protection.fault_hypotheses import is_provisional
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose

@@ -22,7 +22,7 @@ from camber.integrity.epoch_inputs import age_s
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
 from camber.integrity.learning.height_residual import base_of, key_of
-from camber.integrity.protection.fault_hypotheses import is_provisional, rests_on_fixes
+from camber.integrity.pose_provenance import is_provisional, rests_on_fixes
 from camber.integrity.re_estimation.requests import limits_after
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix

@@ -22,13 +22,13 @@ from dataclasses import replace
 from camber.integrity.checks.consistency import horizontal_distance2
 from camber.integrity.checks.independent_position import OffsetFromIndependent, offset_from_independent
 from camber.integrity.protection.common_fault_probability import CommonFaultRules, common_fault_odds
-from camber.integrity.protection.fault_hypotheses import PositionCandidate, road_components
 from camber.integrity.protection.position_bounds import (
     ErrorMixture,
     Horizontal,
     LevelRules,
     MixtureComponent,
 )
+from camber.integrity.protection.position_candidates import PositionCandidate, road_components
 from camber.schemas.pose import Pose
 
 

@@ -1,7 +1,7 @@
 """The bounds of positions: error ellipses of 99 % and 99.9 % and protection levels at an integrity risk.
 
 All are those of the same mixture: the position is right with its covariance, or a wrong fix stands behind it with the
-weight, mean and covariance of each way in which that may be so (`fault_hypotheses`). The ellipses have the
+weight, mean and covariance of each way in which that may be so (`position_candidates`). The ellipses have the
 shape of the first part and the size that holds the mixture.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -90,6 +90,13 @@ class MixtureComponent:
     mean_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     horizontal_m2: Horizontal
     up_m2: float
+
+
+def widened(part: MixtureComponent, covariance: Sequence[float]) -> MixtureComponent:
+    """The part with the errors of a covariance (ee, en, eu, nn, nu, uu) [m²] added."""
+    (ee, en, nn) = part.horizontal_m2
+    added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
+    return replace(part, horizontal_m2=added, up_m2=float(part.up_m2 + covariance[5]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,20 +13,18 @@ from dataclasses import replace
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.judgement import FixJudgement
+from camber.integrity.pose_provenance import is_provisional as is_provisional
 from camber.integrity.protection.common_fault import with_common_fault
 from camber.integrity.protection.doppler_position import DopplerPosition
-from camber.integrity.protection.fault_hypotheses import (
-    LatentFaultHypothesis,
-    MatchCorroboration,
-    PoseDispute,
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
+from camber.integrity.protection.pose_dispute import PoseDispute, updated_dispute
+from camber.integrity.protection.position_bounds import Bounds, bounds_of, is_beyond
+from camber.integrity.protection.position_candidates import (
     PositionCandidate,
     confirmed_fix,
     of_doppler,
     of_pose,
-    updated_dispute,
 )
-from camber.integrity.protection.fault_hypotheses import is_provisional as is_provisional
-from camber.integrity.protection.position_bounds import Bounds, bounds_of, is_beyond
 from camber.integrity.protection.reliability_index import ReliabilityIndex
 from camber.integrity.rules import SAME_EPOCH_S, Rules
 from camber.schemas.base import Covariance3

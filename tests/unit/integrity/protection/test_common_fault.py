@@ -16,8 +16,8 @@ from scipy.stats import multivariate_normal
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.protection.common_fault import with_common_fault
 from camber.integrity.protection.common_fault_probability import CommonFaultRules, common_fault_odds
-from camber.integrity.protection.fault_hypotheses import PositionCandidate
 from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
+from camber.integrity.protection.position_candidates import PositionCandidate
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
 from support.judging import ALL, SettlingJudge, antenna, at, fix, independent, place, pose

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.protection.fault_hypotheses import updated_dispute
+from camber.integrity.protection.pose_dispute import updated_dispute
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules

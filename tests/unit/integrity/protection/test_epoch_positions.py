@@ -11,13 +11,10 @@ from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
-from camber.integrity.protection.fault_hypotheses import (
-    LatentFaultHypothesis,
-    MatchCorroboration,
-    confirmed_fix,
-)
-from camber.integrity.protection.fault_hypotheses import of_pose as candidate_of_pose
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
 from camber.integrity.protection.position_bounds import LevelRules, bounds_of
+from camber.integrity.protection.position_candidates import confirmed_fix
+from camber.integrity.protection.position_candidates import of_pose as candidate_of_pose
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules
 from camber.integrity.rules import Rules

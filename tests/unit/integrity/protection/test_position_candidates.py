@@ -8,16 +8,16 @@ import pytest
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.epoch_inputs import EpochInputs
+from camber.integrity.pose_provenance import rests_on_fixes
 from camber.integrity.protection.doppler_position import Displacement
-from camber.integrity.protection.fault_hypotheses import (
-    LatentFaultHypothesis,
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis
+from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent
+from camber.integrity.protection.position_candidates import (
     PositionCandidate,
     confirmed_fix,
     of_doppler,
     of_pose,
-    rests_on_fixes,
 )
-from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
