@@ -53,7 +53,9 @@ class WrongEpisodes:
         return row, (time_s >= self.begin_s[row]) & (time_s < self.end_s[row])
 
 
-def wrong_episodes(seed: int, *, first_s: float, lasts_s: float) -> WrongEpisodes:
+def wrong_episodes(
+    seed: int, *, first_s: float, lasts_s: float, length_s: tuple[float, float] = LENGTH_S
+) -> WrongEpisodes:
     """Episodes from `first_s` on: lengths of even probability in their logarithm, gaps so that `SHARE` is wrong."""
     rng = stream(seed, "wrong episodes")
     skies = random_skies(_SKIES, rng)
@@ -62,7 +64,7 @@ def wrong_episodes(seed: int, *, first_s: float, lasts_s: float) -> WrongEpisode
     shift_m, rate_m_s = (
         np.concatenate([getattr(s, name) for s in kinds]) for name in ("shift_m", "rate_m_s")
     )
-    shortest_s, longest_s = LENGTH_S
+    shortest_s, longest_s = length_s
     mean_s = (longest_s - shortest_s) / math.log(longest_s / shortest_s)
     gap_s = mean_s * (1.0 - SHARE) / SHARE
     spans, at_s = [], first_s
