@@ -276,6 +276,13 @@ class IntegritySettings(ServiceSettings):
     map_shift_sigma_m: Positive = _sets(
         "levels.common_fault.map_shift_sigma_m", "σ of that shift, each horizontal axis"
     )
+    independent_fault_prior: Probability = _sets(
+        "levels.common_fault.independent_prior",
+        "probability, per epoch, that the independent position is off beyond its covariance, and no test shows it",
+    )
+    independent_fault_sigma_m: Positive = _sets(
+        "levels.common_fault.independent_sigma_m", "σ of that error, each horizontal axis"
+    )
 
     @model_validator(mode="after")
     def _can_be_judged_by(self) -> Self:

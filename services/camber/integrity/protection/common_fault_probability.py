@@ -1,15 +1,24 @@
 """How likely are all fixes off by one vector: a base coordinate, signals that lead them away, a captured pose?
 
 No fix shows it, for all of them and all that they anchor are alike. Only the independent position does, which no fix's
-east or north has entered. Let d be candidate − independent position and S its covariance if nothing is at fault. If
-there is a common fault d has a covariance Λ that nobody knows, at least S. The ratio of likelihoods is taken for the
-one that fits best along S, λ S (generalised likelihood ratio: Kay 1998, Detection Theory, 6.4.2). With m² =
-dᵀ S⁻¹ d it is, in two dimensions,
+east or north has entered. Let d be candidate − independent position and S its covariance if nothing is at fault.
+
+**Only the candidate is at fault.** Then d has a covariance Λ that nobody knows, at least S. The ratio of likelihoods is
+taken for the one that fits best along S, λ S (generalised likelihood ratio: Kay 1998, Detection Theory, 6.4.2). With
+m² = dᵀ S⁻¹ d it is, in two dimensions,
 
     max over λ ≥ 1 of N(d; 0, λ S) / N(d; 0, S) = exp(m²/2 − 1) / (m²/2)    at λ = m²/2, where m² > 2, and 1 elsewhere
 
 so agreement never argues against a common fault: one that has just begun, or is smaller than the independent position
-can see, is as likely as before any test. Odds = prior / (1 − prior) × this ratio. Pure floats; metres; east, north.
+can see, is as likely as before any test.
+
+**The independent position is at fault too**, by a vector N(0, M) that has another cause: a match at the wrong place,
+for matches are not searched around the fixes. Two faults of different causes rarely agree. Whatever the distribution of
+the candidate's vector, that of d is that one convolved with N(0, S + M), nowhere higher than the peak of the latter:
+
+    p(d | both) / N(d; 0, S) ≤ √(det S / det (S + M)) · exp(m²/2)
+
+Odds = odds before any test × this ratio. Pure floats; metres; east, north.
 """
 
 from __future__ import annotations
@@ -17,8 +26,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from camber.integrity.checks.consistency import horizontal_distance2
+
 MOST_LOG_ODDS = 30.0
 """Chosen: odds of 1e13 are certainty in floats, and exp does not overflow."""
+
+Horizontal = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +41,9 @@ class CommonFaultRules:
     `base_prior`: the base station's coordinate is wrong, or is in another frame than the map. `drift_prior`: signals or
     a filter lead the fixes away along a growing vector. `captured_prior`: wrong fixes have taken the pose along and
     hold it. None of them bounds the vector. `map_shift_prior`: the map is shifted where the vehicle is, by
-    `map_shift_sigma_m` along each horizontal axis, and with it whatever position the map gives.
+    `map_shift_sigma_m` along each horizontal axis, and with it whatever position the map gives. `independent_prior`:
+    the independent position is off by `independent_sigma_m` along each axis, beyond its covariance, and no test has
+    shown it: the last scan match, or the given pose, was at a wrong place.
     """
 
     base_prior: float = 1e-3
@@ -36,17 +51,45 @@ class CommonFaultRules:
     captured_prior: float = 1e-4
     map_shift_prior: float = 1e-6
     map_shift_sigma_m: float = 0.3
+    independent_prior: float = 1e-3
+    independent_sigma_m: float = 1.0
 
     @property
     def prior(self) -> float:
         """That any of the three is there; never more than one half, where nothing is known of the fixes."""
         return min(self.base_prior + self.drift_prior + self.captured_prior, 0.5)
 
+    @property
+    def prior_odds(self) -> float:
+        """Odds of that."""
+        return self.prior / (1.0 - self.prior)
 
-def common_fault_odds(squared: float, rules: CommonFaultRules) -> float:
-    """Odds of a common fault after the independent position was found at this squared distance."""
-    half = 0.5 * squared
-    if half <= 1.0:
-        return rules.prior / (1.0 - rules.prior)
-    gain = half - 1.0 - math.log(half) if half < math.inf else MOST_LOG_ODDS
-    return rules.prior / (1.0 - rules.prior) * math.exp(min(gain, MOST_LOG_ODDS))
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommonFaultOdds:
+    """Odds against that nothing is at fault: of the candidate alone, and of the independent position too."""
+
+    alone: float
+    with_independent: float
+
+
+def common_fault_odds(
+    difference_m: tuple[float, float], covariance_m2: Horizontal, prior_odds: float, rules: CommonFaultRules
+) -> CommonFaultOdds:
+    """Odds after the independent position was found this far off.
+
+    `covariance_m2`: S (ee, en, nn); `prior_odds` that the candidate has a fault that only the independent position
+    shows. A difference or covariance that is not finite is a fault.
+    """
+    half = 0.5 * horizontal_distance2(*difference_m, covariance_m2)
+    if not half < MOST_LOG_ODDS:
+        half = MOST_LOG_ODDS
+    log_alone = half - 1.0 - math.log(half) if half > 1.0 else 0.0
+    ee, en, nn = covariance_m2
+    fault_m2 = rules.independent_sigma_m**2
+    determinant, wider = ee * nn - en * en, (ee + fault_m2) * (nn + fault_m2) - en * en
+    peak = math.sqrt(determinant / wider) if 0.0 < determinant < wider < math.inf else 1.0
+    return CommonFaultOdds(
+        alone=prior_odds * math.exp(log_alone),
+        with_independent=prior_odds * rules.independent_prior * peak * math.exp(half),
+    )

@@ -73,7 +73,10 @@ class LatentFaultHypothesis:
     def part(self, weight: float) -> MixtureComponent:
         """What was pulled along."""
         return MixtureComponent(
-            weight=weight, horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2), up_m2=self.up_m2
+            weight=weight,
+            horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2),
+            up_m2=self.up_m2,
+            is_latent=True,
         )
 
 

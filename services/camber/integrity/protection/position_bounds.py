@@ -83,13 +83,15 @@ class LevelRules:
 class MixtureComponent:
     """One way in which the position may be off: its weight, mean east, north, up, (ee, en, nn), and uu.
 
-    `up_m2` infinite: the height is not known.
+    `up_m2` infinite: the height is not known. `is_latent`: a fault that has taken fixes and pose along, so that they
+    agree; only the independent position shows it.
     """
 
     weight: float
     mean_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     horizontal_m2: Horizontal
     up_m2: float
+    is_latent: bool = False
 
 
 def widened(part: MixtureComponent, covariance: Sequence[float]) -> MixtureComponent:

@@ -151,7 +151,7 @@ def of_pose(
         wrong = latent_fault.odds / (1.0 + latent_fault.odds)
         # The height is that of the road.
         wider = (ee + latent_fault.horizontal_m2, en, nn + latent_fault.horizontal_m2)
-        pulled = MixtureComponent(weight=wrong, horizontal_m2=wider, up_m2=alone.up_m2)
+        pulled = MixtureComponent(weight=wrong, horizontal_m2=wider, up_m2=alone.up_m2, is_latent=True)
         parts = (*road_components(alone, 1.0 - wrong, levels), *road_components(pulled, wrong, levels))
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
@@ -238,12 +238,14 @@ def road_components(
         mean_m=part.mean_m,
         horizontal_m2=part.horizontal_m2,
         up_m2=part.up_m2,
+        is_latent=part.is_latent,
     )
     changed_road = MixtureComponent(
         weight=changed * weight,
         mean_m=part.mean_m,
         horizontal_m2=part.horizontal_m2,
         up_m2=part.up_m2 + rules.changed_road_sigma_m**2,
+        is_latent=part.is_latent,
     )
     return surveyed, changed_road
 

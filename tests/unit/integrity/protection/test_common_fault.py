@@ -48,20 +48,45 @@ def level_m(one, sigma_m=0.1, rules=LEVELS, **changes):
 # --- the odds ----------------------------------------------------------------------------------------------------
 
 
+def odds_at(squared, sigma_m=0.2, rules=FAULTS, prior_odds=FAULTS.prior_odds):
+    m2 = sigma_m**2
+    return common_fault_odds((sigma_m * math.sqrt(squared), 0.0), (m2, 0.0, m2), prior_odds, rules)
+
+
 @exactly
-@given(st.floats(0.0, 60.0))
+@given(st.floats(0.0, 55.0))
 def test_the_odds_are_those_of_the_covariance_that_fits_best(squared):
     d, best = np.array([math.sqrt(squared), 0.0]), 0.0
     for scale in np.geomspace(1.0, 100.0, 400):
         best = max(best, multivariate_normal(cov=scale * np.eye(2)).pdf(d))
     ratio = best / multivariate_normal(cov=np.eye(2)).pdf(d)
-    prior = FAULTS.prior / (1.0 - FAULTS.prior)
-    assert common_fault_odds(squared, FAULTS) == pytest.approx(prior * ratio, rel=1e-3)
+    assert odds_at(squared).alone == pytest.approx(FAULTS.prior_odds * ratio, rel=1e-3)
+
+
+@exactly
+@given(st.floats(0.0, 30.0), st.floats(0.0, 5.0), st.floats(0.0, 3.0))
+def test_two_faults_of_different_causes_agree_no_oftener_than_stated_whatever_vector_the_fixes_have(
+    squared, bias_m, spread_m
+):
+    """Of fixes off by N(bias, spread²) and the independent position by its own vector."""
+    sigma_m, m2 = 0.2, FAULTS.independent_sigma_m**2
+    d = np.array([sigma_m * math.sqrt(squared), 0.0])
+    both = multivariate_normal(mean=[bias_m, 0.0], cov=(sigma_m**2 + m2 + spread_m**2) * np.eye(2)).pdf(d)
+    ratio = both / multivariate_normal(cov=sigma_m**2 * np.eye(2)).pdf(d)
+    stated = odds_at(squared, sigma_m).with_independent
+    assert stated >= FAULTS.prior_odds * FAULTS.independent_prior * ratio * (1.0 - 1e-9)
 
 
 @pytest.mark.parametrize("squared", [1e6, math.inf, math.nan])
 def test_what_is_far_off_or_no_number_is_a_fault(squared):
-    assert common_fault_odds(squared, FAULTS) > 1e9
+    assert odds_at(squared).alone > 1e7
+    assert math.isfinite(odds_at(squared).with_independent)
+
+
+@pytest.mark.parametrize("covariance", [(0.0, 0.0, 0.0), (math.nan, 0.0, 1.0), (1.0, 2.0, 1.0)])
+def test_without_a_covariance_everything_is_a_fault(covariance):
+    odds = common_fault_odds((0.1, 0.1), covariance, FAULTS.prior_odds, FAULTS)
+    assert min(odds.alone, odds.with_independent) > 1e6
 
 
 def test_the_prior_is_the_sum_of_the_faults_and_never_a_certainty():
@@ -69,6 +94,7 @@ def test_the_prior_is_the_sum_of_the_faults_and_never_a_certainty():
         0.123
     )
     assert CommonFaultRules(base_prior=0.9).prior == 0.5
+    assert CommonFaultRules(base_prior=0.9).prior_odds == 1.0
 
 
 # --- the level ---------------------------------------------------------------------------------------------------
@@ -127,9 +153,60 @@ def test_the_weights_make_one_and_the_height_is_that_of_the_road():
     for source in ("rtk", "sensors"):
         bounded = with_common_fault(candidate(source, east_m=0.4), pose(independent=independent()), LEVELS)
         assert sum(part.weight for part in bounded.mixture.parts) == pytest.approx(1.0)
-        last = bounded.mixture.parts[-1]
+        last = bounded.mixture.parts[-3]  # on a shifted map, where the road has changed
         assert last.mean_m == pytest.approx((0.4, 0.0, 0.1), abs=1e-3)
         assert last.up_m2 == pytest.approx(0.01 + LEVELS.changed_road_sigma_m**2)
+
+
+def with_latent(one, odds, sigma_m):
+    """The candidate, if a wrong fix that has passed may have taken fixes and pose along."""
+    right = one.mixture.parts[0]
+    pulled = replace(
+        right, weight=odds / (1.0 + odds), horizontal_m2=(sigma_m**2, 0.0, sigma_m**2), is_latent=True
+    )
+    return replace(
+        one, mixture=ErrorMixture((replace(right, weight=1.0 / (1.0 + odds)), pulled), one.mixture.lost)
+    )
+
+
+def test_a_latent_fault_reaches_as_far_as_the_independent_position_lets_it_however_far_it_may_be_off():
+    near, far = (level_m(with_latent(candidate(), 1e-3, sigma_m), 0.1) for sigma_m in (1.0, 10.0))
+    assert near == far
+    assert level_m(candidate(), 0.1) < near < 0.5  # 1e-7 / 2e-3 of Rayleigh's: 4.5 σ
+    assert bounds_of([with_latent(candidate(), 1e-3, 1.0).mixture], LEVELS)[0].horizontal_level_m > 4.0
+
+
+@pytest.mark.parametrize("odds", [0.0, 1e-3, 1.0, 1e13])
+def test_a_latent_fault_counts_with_its_odds_beside_those_of_the_others(odds):
+    bounded = with_common_fault(
+        with_latent(candidate(), odds, 1.0), pose(independent=independent(sigma_m=0.1)), LEVELS
+    )
+    right, *others = (part.weight for part in bounded.mixture.parts)
+    assert right + sum(others) == pytest.approx(1.0)
+    assert sum(others) / right == pytest.approx(odds + FAULTS.prior_odds, rel=1e-3)
+
+
+def test_drawn_latent_faults_stay_within_the_level():
+    """A wrong fix has taken all along by N(0, 1 m²); the level is that of what was drawn."""
+    rng, seed = np.random.default_rng(2011), 2011
+    sigma_m, beyond, n = 0.1, 0, 400
+    rules = replace(LEVELS, integrity_risk=1e-2, pose_fault_prior=0.0)
+    for _ in range(n):
+        (east_m, north_m), off = rng.normal(0.0, 1.0, 2), rng.normal(0.0, sigma_m, 2)
+        one = with_latent(candidate("rtk", 0.05, east_m, north_m), 0.5, 1.0)
+        bounded = with_common_fault(
+            one, pose(independent=independent(sigma_m=sigma_m, east_m=off[0], north_m=off[1])), rules
+        )
+        beyond += bounds_of([bounded.mixture], rules)[0].horizontal_level_m < math.hypot(east_m, north_m)
+    # 400 draws at a share of at most 2e-2, were all of them faulted: 8 expected, 17 at three σ.
+    assert beyond <= 17, f"seed {seed}: {beyond} of {n}"
+
+
+def test_an_independent_position_that_may_be_wrong_too_widens_the_level_where_it_is_wide():
+    sure = replace(LEVELS, common_fault=replace(FAULTS, independent_prior=0.0))
+    assert level_m(candidate(), 0.1) == pytest.approx(level_m(candidate(), 0.1, sure), rel=0.05)
+    doubted = replace(LEVELS, common_fault=replace(FAULTS, independent_prior=0.1))
+    assert level_m(candidate(), 0.5, doubted) > 1.05 * level_m(candidate(), 0.5, sure)
 
 
 def test_without_an_independent_position_there_is_nothing_to_bound_by():
