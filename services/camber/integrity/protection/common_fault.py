@@ -63,7 +63,7 @@ def with_common_fault(
     mixture = ErrorMixture(
         (
             *(_weighed(part, 1.0 / (rest * total)) for part in parts),
-            *_common_fault_parts(candidate, offset, odds, total, rules),
+            *_common_fault_parts(candidate, offset, odds=odds, total=total, rules=rules),
         ),
         candidate.mixture.lost,
     )
@@ -81,6 +81,7 @@ def _odds(
 def _common_fault_parts(
     candidate: PositionCandidate,
     offset: OffsetFromIndependent,
+    *,
     odds: CommonFaultOdds,
     total: float,
     rules: LevelRules,
