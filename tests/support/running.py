@@ -14,11 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel as McapChannel
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
-
-from camber.formats.drive.recording import Recorded, load_recording
+from camber.formats.drive.recording import Recorded, load_recording, read_recording
 from camber.replay.drive_inputs import prepare_drive
 from camber.replay.one_process import ReportedIssue, replay_in_one_process
 from camber.replay.run_folder import RunFacts, drive_facts
@@ -257,14 +253,11 @@ def drive_s(time_ns: int) -> float:
 
 def payloads(out: Path) -> dict[str, list[bytes]]:
     """The bytes of every message as they were on the bus, by key, in the file's order."""
-    topics: dict[int, str] = {}
     by_key: dict[str, list[bytes]] = {}
-    with (out / "recording.mcap").open("rb") as file:
-        for record in StreamReader(file).records:
-            if isinstance(record, McapChannel):
-                topics[record.id] = record.topic
-            elif isinstance(record, McapMessage):
-                by_key.setdefault(topics[record.channel_id], []).append(record.data)
+    for item in read_recording(out / "recording.mcap"):
+        assert isinstance(item, Recorded), str(item)
+        data = encode(item.message, source=item.source, sequence=item.sequence)
+        by_key.setdefault(item.key, []).append(data)
     return by_key
 
 

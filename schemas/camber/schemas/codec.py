@@ -17,7 +17,7 @@ import functools
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import msgpack
 import numpy as np
@@ -40,6 +40,7 @@ _MAX_COMPLAINT = 300  # chosen: fits into an issue text
 _MAX_COMPLAINTS = 100  # chosen: bounds the time spent on untrusted input
 _MAX_SEQUENCE = (1 << 62) - 1  # of the wire format: as `Count`
 _PARTS = [str, str, int, dict]
+_WRONG_BYTES = (ValueError, TypeError, RecursionError, OverflowError, MemoryError, msgpack.UnpackException)
 
 
 class DecodeError(ValueError):
@@ -53,6 +54,15 @@ class Received(Generic[M]):
     message: M
     source: str
     sequence: int
+
+
+class Unpacked(NamedTuple):
+    """What the bytes of a message hold: plain values, tuples and arrays, not yet checked against its class."""
+
+    schema: str
+    source: str
+    sequence: int
+    fields: dict[str, Any]
 
 
 @functools.cache
@@ -106,21 +116,34 @@ def decode(cls: type[M], data: bytes, encoding: str | None = None) -> Received[M
     """
     if encoding is not None and encoding != encoding_of(cls):
         raise DecodeError(f"expected encoding {encoding_of(cls)}, got {str(encoding)[:80]!r}")
+    schema = encoding_of(cls)[len(_PREFIX) :]
     try:
-        source, sequence, fields = _open(data, encoding_of(cls)[len(_PREFIX) :])
-        return Received(message=cls.model_validate(fields), source=source, sequence=sequence)
+        unpacked = unpack(data)
+    except DecodeError as error:
+        raise DecodeError(f"{cls.__name__}: {error}"[:_MAX_COMPLAINT]) from None
+    if unpacked.schema != schema:
+        raise DecodeError(f"expected {schema}, got {unpacked.schema[:80]!r}")
+    message = validate(cls, unpacked.fields)
+    return Received(message=message, source=unpacked.source, sequence=unpacked.sequence)
+
+
+def unpack(data: bytes) -> Unpacked:
+    """Return what any message's bytes hold, of a class that is known or not; raises DecodeError and nothing else."""
+    try:
+        return _open(data)
     except DecodeError:
         raise
+    except _WRONG_BYTES as error:
+        raise DecodeError(f"{type(error).__name__}: {error}"[:_MAX_COMPLAINT]) from None
+
+
+def validate(cls: type[M], fields: dict[str, Any]) -> M:
+    """Return the message of class `cls` with these fields, as `unpack` gives them; raises DecodeError."""
+    try:
+        return cls.model_validate(fields)
     except ValidationError as error:
         complaint = _first_complaint(error)
-    except (
-        ValueError,
-        TypeError,
-        RecursionError,
-        OverflowError,
-        MemoryError,
-        msgpack.UnpackException,
-    ) as error:
+    except _WRONG_BYTES as error:
         complaint = f": {type(error).__name__}: {error}"
     raise DecodeError(f"{cls.__name__}{complaint}"[:_MAX_COMPLAINT])
 
@@ -132,8 +155,8 @@ def _first_complaint(error: ValidationError) -> str:
     return "".join(f".{part}"[:64] for part in first["loc"]) + f": {first['msg']}"
 
 
-def _open(data: bytes, schema: str) -> tuple[str, int, dict[str, Any]]:
-    """Return source, sequence number and fields of `data`, which must be of this schema."""
+def _open(data: bytes) -> Unpacked:
+    """Return schema, source, sequence number and fields of `data`."""
     if not _LENGTH.size < len(data) <= _MAX_BYTES:
         raise DecodeError(f"{len(data)} bytes are no message")
     (length,) = _LENGTH.unpack_from(data)
@@ -156,12 +179,10 @@ def _open(data: bytes, schema: str) -> tuple[str, int, dict[str, Any]]:
     arrays.finish()
     if not isinstance(header, tuple) or [type(part) for part in header] != _PARTS:
         raise DecodeError("expected a header of schema, source, sequence and fields")
-    received_schema, source, sequence, fields = header
-    if received_schema != schema:
-        raise DecodeError(f"expected {schema}, got {received_schema[:80]!r}")
+    schema, source, sequence, fields = header
     if len(source) > _MAX_SOURCE or not 0 <= sequence <= _MAX_SEQUENCE:
         raise DecodeError("source or sequence number out of range")
-    return source, sequence, fields
+    return Unpacked(schema, source, sequence, fields)
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def replay(
     recorded = None
     with (
         tqdm(total=len(tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar,
-        RunRecorder(folder, manifest.vehicle, tick_times_ns[0]) as recorder,
+        RunRecorder(folder, manifest, tick_times_ns[0]) as recorder,
         _interruptible(),
     ):
         if processes:

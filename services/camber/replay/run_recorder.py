@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from typing import Any, Self
 
-from camber.formats.drive.recording import Recorder
+from camber.formats.drive.recorder import Recorder
 from camber.replay.run_folder import RunFolder
 from camber.schemas.channels import CHANNELS
 from camber.schemas.codec import Received, encode
+from camber.schemas.drive import DriveManifest
 
 # Longer than a feeder runs ahead (4 ticks) and than a fix is late, so that the recording is in the order of time.
 _LAG_NS = 5_000_000_000
@@ -16,8 +18,15 @@ _LAG_NS = 5_000_000_000
 class RunRecorder:
     """The recording of one run; use as a context. Sweeps are not recorded: they are in the drive's folder."""
 
-    def __init__(self, folder: RunFolder, vehicle: str, start_ns: int) -> None:
-        self._recorder = Recorder(folder.recording_path)
+    def __init__(self, folder: RunFolder, manifest: DriveManifest, start_ns: int) -> None:
+        vehicle = manifest.vehicle
+        about = {
+            "drive": manifest.name,
+            "vehicle": vehicle,
+            "camber": version("camber"),
+            "manifest": manifest.model_dump_json(),
+        }
+        self._recorder = Recorder(folder.recording_path, about=about)
         # Bulk is not recorded: a sweep of 50,000 points has a megabyte.
         self._keys = {
             channel.name: channel.key_for(vehicle) for channel in CHANNELS if channel.delivery != "bulk"

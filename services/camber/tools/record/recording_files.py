@@ -10,9 +10,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
-from camber.formats.drive.recording import Recorder
+from camber.formats.drive.recorder import Recorder
 from camber.runtime.raw_subscription import RawSample
 
 SUFFIX = ".mcap"
@@ -95,7 +96,8 @@ class RecordingFiles:
         for number in itertools.count(len(self.files)):
             path = self._folder / f"{name}-{number:03d}{SUFFIX}"
             try:
-                self._recorder = Recorder(path, anew=True)
+                about = {"vehicle": self._prefix, "camber": version("camber")}
+                self._recorder = Recorder(path, anew=True, about=about)
             except FileExistsError:
                 continue
             self.files.append(path)

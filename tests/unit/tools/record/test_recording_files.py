@@ -161,7 +161,7 @@ def test_what_was_dropped_before_stands_in_the_file(tmp_path: Path) -> None:
     files.close()
     assert files.dropped == 7
     with files.files[0].open("rb") as stream:
-        (metadata,) = [item.metadata for item in make_reader(stream).iter_metadata()]
+        _, metadata = [item.metadata for item in make_reader(stream).iter_metadata()]
     assert metadata["dropped"] == "7"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.drive.recording import Recorder
+from camber.formats.drive.recorder import Recorder
 from camber.replay.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
