@@ -61,6 +61,7 @@ BUNDLED = {
     "libwebpmux": "BSD-3-Clause",
     "libxcb": "MIT",
     "libzstd": "BSD-3-Clause OR GPL-2.0-only",
+    "node": "MIT",
     "open3d_tf_ops": "MIT",
     "open3d_torch_ops": "MIT",
     "rnx2crx": "LicenseRef-RNXCMP",

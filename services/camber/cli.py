@@ -53,6 +53,7 @@ TOOL_GROUPS = {
         "uploads": Command("camber.tools.operate.uploads", "export the fleet's store as CSV"),
     },
     "operation": {
+        "live": Command("camber.live.command", "serve a web page of the bus, a recording or a replay"),
         "router": Command("camber.runtime.router", "run a Zenoh router in Python"),
         "status": Command(
             "camber.tools.operate.status", "show services, rates, ages, queues and last issues"
@@ -93,6 +94,8 @@ EXTRA_OF = {
     "pyproj": "map",
     "rasterio": "map",
     "small_gicp": "localizer",
+    "starlette": "web",
+    "uvicorn": "web",
 }
 """Optional packages, and the extra of the distribution that installs them."""
 

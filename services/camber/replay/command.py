@@ -59,7 +59,7 @@ def replay(
     out.mkdir(parents=True, exist_ok=True)
     inputs = prepare_drive(manifest, out / "work")
     folder = RunFolder(out)
-    folder.write_drive(drive_facts(inputs), None if inputs.truth is None else truth_of(inputs.truth))
+    folder.write_drive(drive_facts(inputs, out), None if inputs.truth is None else truth_of(inputs.truth))
     _compile(manifest, quiet=quiet)
     tick_times_ns = inputs.tick_times_ns
     recorded = None

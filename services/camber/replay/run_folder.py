@@ -61,17 +61,24 @@ class DriveFacts(Model):
     fixed_tolerance_m: Annotated[float, Field(gt=0.0, le=1e3)] = Field(
         default=0.3, description="of the control that knows the height only"
     )
+    map_release: Annotated[str, Field(max_length=4096)] | None = Field(
+        default=None, description="folder of the map; within the run's folder it is relative to it"
+    )
 
 
-def drive_facts(inputs: DriveInputs) -> DriveFacts:
-    """Return the facts of a drive that is about to be replayed."""
+def drive_facts(inputs: DriveInputs, folder: Path | None = None) -> DriveFacts:
+    """Return the facts of a drive that is about to be replayed, with where its map is if it is into a `folder`."""
     manifest = inputs.manifest
+    release = None if inputs.map_release is None or folder is None else inputs.map_release.resolve()
+    if release is not None and folder is not None and release.is_relative_to(folder.resolve()):
+        release = release.relative_to(folder.resolve())
     return DriveFacts(
         drive=manifest.name,
         surrogates=manifest.surrogate_notes(),
         truth=inputs.truth is not None,
         offset_enu_m=offset_of(manifest),
         alert_limit_m=manifest.alert_limit_m,
+        map_release=None if release is None else str(release),
     )
 
 
@@ -126,6 +133,10 @@ class RunFolder:
     def read_drive(self) -> DriveFacts:
         """Read drive.json."""
         return _read_json(self.drive_path, DriveFacts)
+
+    def map_release(self, facts: DriveFacts) -> Path | None:
+        """Folder of the drive's map; None where it had none."""
+        return None if facts.map_release is None else self.path / facts.map_release
 
     def read_run(self) -> RunFacts:
         """Read run.json; nothing is known where there is none."""

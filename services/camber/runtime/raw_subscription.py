@@ -14,7 +14,7 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import Channel
 
-_LIMIT_BYTES = 256 << 20  # chosen: half a minute of sweeps while the disk hangs
+LIMIT_BYTES = 256 << 20  # chosen: half a minute of sweeps while the disk hangs
 
 
 class RawSample(NamedTuple):
@@ -27,14 +27,20 @@ class RawSample(NamedTuple):
 
 
 class RawSubscription:
-    """Queues what comes on some channels, up to 256 MB; use as a context. Raises BusError.
+    """Queues what comes on some channels, up to `limit_bytes`; use as a context. Raises BusError.
 
     Beyond that the newest is dropped, and `dropped` counts it by channel.
     """
 
     def __init__(
-        self, settings: ServiceSettings, channels: Sequence[Channel], *, timeout_s: float | None
+        self,
+        settings: ServiceSettings,
+        channels: Sequence[Channel],
+        *,
+        timeout_s: float | None,
+        limit_bytes: int = LIMIT_BYTES,
     ) -> None:
+        self._limit_bytes = limit_bytes
         self.dropped: Counter[str] = Counter()
         self._bytes = 0
         self._items: deque[RawSample] = deque()
@@ -64,7 +70,7 @@ class RawSubscription:
         def arrived(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
             with self._lock:
-                if self._bytes + len(data) > _LIMIT_BYTES:
+                if self._bytes + len(data) > self._limit_bytes:
                     self.dropped[name] += 1
                     return
                 self._bytes += len(data)

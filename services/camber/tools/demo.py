@@ -30,7 +30,9 @@ def main(argv: Sequence[str]) -> int:
     def work() -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         manifest = (_short if args.short else _city)(args.out, args.seed)
-        return replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
+        code = replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
+        print(f"to look at it on a map: camber live {args.out}")
+        return code
 
     return report_failures("camber demo", args.out, work)
 

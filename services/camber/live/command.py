@@ -1,0 +1,226 @@
+"""`camber live`: a web page of what is on the bus, of a recording, or of a finished replay. It reads only.
+
+    camber live                     the vehicle on the bus
+    camber live out/demo            a run of `camber replay` or `camber demo`, with its truth and its map
+    camber live drive.mcap          a recording of `camber record`; --map gives it a map
+
+The page is for browsers on this machine. Another address is served only with --token, and over TLS where a certificate
+is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import socket
+import sys
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import uvicorn
+
+from camber.formats.errors import FormatError
+from camber.live.access import LOOPBACK
+from camber.live.history import HOUR_ROWS, History
+from camber.live.map_tiles import MapTiles, ReleaseSource
+from camber.live.rows import LAYOUTS, RowWriter
+from camber.live.server import LiveState, application
+from camber.live.sources import BusSource, RecordingSource
+from camber.road_map.release import ReleaseError, open_release
+from camber.tools.options.bus_options import add_bus_options, bus_settings
+from camber.tools.options.number_options import whole_from
+from camber.tools.options.parsers import add_with_default, tool_parser
+
+_PROG = "camber live"
+_PORT = 8080  # chosen: what people type
+_TOKEN_VARIABLE = "CAMBER_LIVE_TOKEN"
+_LEAST_TOKEN = 16
+"""Characters. Chosen: nobody guesses it over a network."""
+_RECORDING_ROWS = 6 * HOUR_ROWS
+"""Of a recording. Chosen: six hours; of a longer one the beginning is left out."""
+_PING_S = 10.0  # chosen: a browser that does not answer for so long has its connection closed
+_HELP = f"""\
+exit codes: 0 ended by a signal; 2 wrong usage, or a file that cannot be read.
+A token can be given in the environment too, as {_TOKEN_VARIABLE}.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Serve until a signal."""
+    args = _parser().parse_args(argv)
+    token = args.token or os.environ.get(_TOKEN_VARIABLE) or None
+    try:
+        _check(args, token)
+        state = _state(args)
+        listening = _listen(args.host, args.port)
+    except (ValueError, FormatError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{_PROG}: {error.filename or f'{args.host}:{args.port}'}: {error.strerror}", file=sys.stderr)
+        return 2
+    address = _address(args, listening, token)
+    state.source.start()
+    if state.health is not None:
+        state.health.start()
+    gc.freeze()  # what is loaded stays
+    print(f"{_PROG}: {state.title}: {address}", flush=True)
+    if args.open:
+        webbrowser.open(address)
+    try:
+        _serve(args, state, listening, token)
+    finally:
+        state.source.end()
+        if state.health is not None:
+            state.health.end()
+    return 0
+
+
+def _state(args: argparse.Namespace) -> LiveState:
+    """The source and what goes with it. Raises FormatError, OSError."""
+    if args.path is None:
+        return _bus(args)
+    return _run_folder(args) if args.path.is_dir() else _recording(args)
+
+
+def _bus(args: argparse.Namespace) -> LiveState:
+    from camber.live.bus_map import BusMap
+    from camber.live.health_watch import HealthWatch
+
+    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
+    history = History(LAYOUTS)
+    tiles = MapTiles(BusMap(settings)) if args.map is None else _tiles(args.map)
+    return LiveState(
+        title=settings.vehicle,
+        history=history,
+        source=BusSource(settings, RowWriter(history)),
+        tiles=tiles,
+        health=HealthWatch(settings),
+        raster=args.raster,
+    )
+
+
+def _recording(args: argparse.Namespace) -> LiveState:
+    with args.path.open("rb"):
+        pass
+    history = History(LAYOUTS, _RECORDING_ROWS)
+    return LiveState(
+        title=args.path.name,
+        history=history,
+        source=RecordingSource(args.path, RowWriter(history)),
+        tiles=None if args.map is None else _tiles(args.map),
+        raster=args.raster,
+    )
+
+
+def _run_folder(args: argparse.Namespace) -> LiveState:
+    from camber.replay.run_folder import RunFolder
+
+    folder = RunFolder(args.path)
+    facts, run = folder.read_drive(), folder.read_run()
+    truth = folder.read_truth() if facts.truth else None
+    history = History(LAYOUTS, _RECORDING_ROWS)
+    place = args.map or folder.map_release(facts)
+    problem, tiles = "", None
+    try:
+        tiles = None if place is None else _tiles(place)
+    except ReleaseError as error:
+        problem = str(error)
+    with folder.recording_path.open("rb"):
+        pass
+    return LiveState(
+        title=facts.drive,
+        history=history,
+        source=RecordingSource(folder.recording_path, RowWriter(history, truth, facts.offset_enu_m)),
+        tiles=tiles,
+        map_problem=problem,
+        raster=args.raster,
+        notes=(*facts.surrogates, *run.notes),
+    )
+
+
+def _tiles(folder: Path) -> MapTiles:
+    return MapTiles(ReleaseSource(open_release(folder)))
+
+
+def _check(args: argparse.Namespace, token: str | None) -> None:
+    if args.host not in LOOPBACK and token is None:
+        raise ValueError(f"--host {args.host}: others can reach this address, so --token is needed")
+    if token is not None and len(token) < _LEAST_TOKEN:
+        raise ValueError(f"--token: expected at least {_LEAST_TOKEN} characters")
+    if (args.certificate is None) != (args.key is None):
+        raise ValueError("--certificate and --key: expected both or none")
+    if args.raster is not None and urlsplit(args.raster).scheme not in ("http", "https"):
+        raise ValueError(f"--raster {args.raster}: expected an address with {{z}}, {{x}} and {{y}}")
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError:
+        listening.close()
+        raise
+    return listening
+
+
+def _address(args: argparse.Namespace, listening: socket.socket, token: str | None) -> str:
+    name = f"[{args.host}]" if ":" in args.host else args.host
+    scheme = "http" if args.certificate is None else "https"
+    end = "/" if token is None else f"/?token={quote(token, safe='')}"
+    return f"{scheme}://{name}:{listening.getsockname()[1]}{end}"
+
+
+def _serve(args: argparse.Namespace, state: LiveState, listening: socket.socket, token: str | None) -> None:
+    raster = None if args.raster is None else urlsplit(args.raster)
+    images = None if raster is None else f"{raster.scheme}://{raster.netloc}"
+    config = uvicorn.Config(
+        application(state, token=token, images=images),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_ping_interval=_PING_S,
+        ws_ping_timeout=_PING_S,
+        ws_max_size=1024,  # a browser has nothing to say
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+        ssl_certfile=args.certificate,
+        ssl_keyfile=args.key,
+        server_header=False,
+    )
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = tool_parser(_PROG, __doc__, _HELP)
+    add = parser.add_argument
+    add(
+        "path",
+        type=Path,
+        nargs="?",
+        metavar="DIR|FILE",
+        help="folder of a run, or a recording (default: the bus)",
+    )
+    add("--vehicle", metavar="V", help="name of the vehicle on the bus (default: that of --config)")
+    add_bus_options(parser)
+    add(
+        "--map",
+        type=Path,
+        metavar="DIR",
+        help="release of the map (default: that of the run or of the vehicle)",
+    )
+    add_with_default(parser, "--host", "127.0.0.1", "address to serve on", metavar="ADDRESS")
+    add_with_default(
+        parser, "--port", _PORT, "port to serve on, 0: any", type=whole_from(0, 65_535), metavar="N"
+    )
+    add("--token", metavar="TEXT", help="what a browser must know; needed on any other address")
+    add("--certificate", type=Path, metavar="FILE", help="serve over TLS with this certificate")
+    add("--key", type=Path, metavar="FILE", help="the certificate's private key")
+    add("--raster", metavar="URL", help="images behind the map: an address with {z}, {x} and {y}")
+    add("--open", action="store_true", help="open the page in the browser")
+    return parser

@@ -1,0 +1,184 @@
+"""The page and its data over HTTP, and one WebSocket for each browser.
+
+A browser gets a greeting and the services' health as JSON, and rows of the history as bytes (`History.batch`), at most
+ten times a second. Nothing waits for a browser: one that takes its last message slowly gets no other until then, and
+then what the history still has.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from camber.live.access import Guard
+from camber.live.health_watch import HealthWatch
+from camber.live.history import Cursor, History, columns_of
+from camber.live.map_tiles import MapTiles
+from camber.live.rows import TERMS
+from camber.live.runbook import runbook_entries
+from camber.live.sources import Source
+from camber.road_map.release import ReleaseError
+
+STATIC = Path(__file__).with_name("static")
+PERIOD_S = 0.1
+"""Ten batches a second: faster than anybody sees, and a tenth of a second after the verdict."""
+_ROWS = 1000
+"""Of a table in one message. Chosen: a quarter of a megabyte, so that a hundred stalled browsers hold some tens."""
+_BROWSERS = 128  # chosen: more than anybody opens; each costs a socket and a message
+_SHARED = 8  # batches kept for browsers that stand at the same place
+_BUSY = 1013  # RFC 6455 and its registry: try again later
+
+
+@dataclass(kw_only=True)
+class LiveState:
+    """All that the page shows."""
+
+    title: str
+    history: History
+    source: Source
+    tiles: MapTiles | None = None
+    map_problem: str = ""
+    health: HealthWatch | None = None
+    raster: str | None = None
+    notes: tuple[str, ...] = ()
+    browsers: int = 0
+    _batches: OrderedDict[tuple[Cursor, int], tuple[bytes | None, Cursor]] = field(
+        default_factory=OrderedDict
+    )
+
+    def greeting(self) -> dict[str, Any]:
+        """What a browser must know before the first row."""
+        facts = None if self.tiles is None else self.tiles.source.describe()
+        return {
+            "kind": "greeting",
+            "title": self.title,
+            "mode": self.source.mode,
+            "columns": columns_of(self.history.layouts),
+            "terms": TERMS,
+            "map": facts,
+            "map_problem": self.map_problem,
+            "raster": self.raster,
+            "notes": self.notes,
+            "health": self.health is not None,
+        }
+
+    def status(self) -> dict[str, Any]:
+        """What changes besides the rows."""
+        return {
+            "kind": "status",
+            "state": self.source.state,
+            "problem": self.source.problem,
+            "left_out": self.source.left_out() | {"late": self.history.late},
+            "browsers": self.browsers,
+            "health": None if self.health is None else self.health.view,
+            "vehicles": [] if self.health is None else self.health.vehicles,
+        }
+
+    def batch(self, cursor: Cursor) -> tuple[bytes | None, Cursor]:
+        """As `History.batch`; browsers at the same place share one."""
+        newest = self.history.appended
+        key = cursor, newest
+        if key not in self._batches:
+            self._batches[key] = self.history.batch(cursor, _ROWS)
+            if len(self._batches) > _SHARED:
+                self._batches.popitem(last=False)
+        return self._batches[key]
+
+
+def application(state: LiveState, *, token: str | None, images: str | None = None) -> Starlette:
+    """The web application; `images`: the origin of the user's own background map."""
+
+    async def page(_: Request) -> Response:
+        return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
+
+    async def tile(request: Request) -> Response:
+        return await _tile(state, request.path_params)
+
+    async def verdict(request: Request) -> Response:
+        text = state.history.text(request.path_params["generation"], request.path_params["row"])
+        return JSONResponse({"detail": text}, 200 if text is not None else 404)
+
+    async def runbook(_: Request) -> Response:
+        return JSONResponse(runbook_entries())
+
+    async def socket(websocket: WebSocket) -> None:
+        await _serve(state, websocket)
+
+    return Starlette(
+        routes=[
+            Route("/", page),
+            Route("/map/{zoom:int}/{x:int}/{y:int}.mvt", tile),
+            Route("/verdict/{generation:int}/{row:int}", verdict),
+            Route("/runbook", runbook),
+            WebSocketRoute("/stream", socket),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ],
+        middleware=[Middleware(Guard, token=token, images=images)],
+    )
+
+
+async def _tile(state: LiveState, place: dict[str, int]) -> Response:
+    if state.tiles is None:
+        return Response(status_code=404)
+    make: Callable[..., bytes] = state.tiles.tile
+    try:
+        data = await asyncio.to_thread(make, place["zoom"], place["x"], place["y"])
+    except ReleaseError as error:
+        state.map_problem = str(error)
+        return JSONResponse({"problem": str(error)}, 503)
+    return Response(
+        data, media_type="application/vnd.mapbox-vector-tile", headers={"cache-control": "no-store"}
+    )
+
+
+async def _serve(state: LiveState, websocket: WebSocket) -> None:
+    await websocket.accept()
+    if state.browsers >= _BROWSERS:
+        await websocket.close(_BUSY)
+        return
+    state.browsers += 1
+    ended = asyncio.create_task(_until_closed(websocket))
+    try:
+        await websocket.send_text(json.dumps(state.greeting()))
+        await _send(state, websocket, ended)
+    except WebSocketDisconnect:
+        pass
+    finally:
+        state.browsers -= 1
+        ended.cancel()
+
+
+async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None]) -> None:
+    cursor, status = state.history.start(), ""
+    while not ended.done():
+        data, cursor = state.batch(cursor)
+        if data is not None:
+            await websocket.send_bytes(data)
+        newest = json.dumps(state.status())
+        if newest != status:
+            status = newest
+            await websocket.send_text(status)
+        lacks_rows = cursor.rows != state.history.cursor().rows
+        await asyncio.wait({ended}, timeout=PERIOD_S if not (lacks_rows and data) else 0.0)
+
+
+async def _until_closed(websocket: WebSocket) -> None:
+    """Read and ignore: a browser has nothing to say; ends when it leaves."""
+    try:
+        while (await websocket.receive())["type"] != "websocket.disconnect":
+            pass
+    except RuntimeError:  # it was closed before
+        pass

@@ -1,0 +1,80 @@
+// The page: one store, one view, components that draw them, keys.
+
+import { connect, Store } from "./store.js";
+import { View } from "./view.js";
+import "./bar.js";
+import "./map.js";
+import "./charts.js";
+import "./panels.js";
+import "./stanford.js";
+import { savePicture, saveTable } from "./exports.js";
+
+const EVERY_MS = 100; // as often as batches come
+const EVERY_LONG_MS = 400; // of a long time nothing moves within a pixel
+const SLOW_MS = 1000;
+const LONG_S = 900;
+
+const store = new Store(), view = new View(store), find = name => document.querySelector(`camber-${name}`);
+const map = find("map"), charts = find("charts"), fix = find("fix"), help = find("help");
+
+function showTheme() {
+  document.documentElement.dataset.theme = view.theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  view.dispatchEvent(new Event("theme"));
+}
+
+function changeTheme() {
+  view.theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  showTheme();
+  view.change();
+}
+
+const actions = {
+  picture: () => savePicture(store, view, map, charts), table: () => saveTable(store, view), theme: changeTheme, help: () => help.toggle(),
+};
+
+document.documentElement.dataset.theme = view.theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+map.start(store, view);
+charts.start(store, view);
+find("bar").start(store, view, actions);
+for (const name of ["now", "fix", "health", "notes", "stanford"]) find(name).start(store, view, map);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", showTheme);
+find("map").paint();
+
+const keys = {
+  " ": () => view.toggle(), ArrowLeft: event => view.move(event.shiftKey ? -60 : -1), ArrowRight: event => view.move(event.shiftKey ? 60 : 1),
+  Home: () => view.move(-1e9), End: () => view.newest(), b: () => view.move(-600), "+": () => view.longer(-1), "=": () => view.longer(-1), "-": () => view.longer(1),
+  w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
+};
+addEventListener("keydown", event => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input, dialog")) return;
+  if (event.key === " " && event.target.closest("button")) return;
+  const action = keys[event.key];
+  if (!action || !Number.isFinite(view.end) && event.key !== "?") return;
+  event.preventDefault();
+  action(event);
+});
+
+let dirty = false, drawn = 0, slow = 0, before = performance.now(), whole = false;
+store.addEventListener("rows", () => { dirty = true; store.arrived = Date.now() / 1000; });
+store.addEventListener("status", () => {
+  if (!whole && store.greeting?.mode === "recording" && store.status?.state === "complete" && Number.isFinite(store.newest)) { whole = true; view.showAll(); map.fitOnce?.(); }
+});
+store.addEventListener("greeting", () => { whole = false; });
+
+function frame(now) {
+  const shown = view.end;
+  view.tick((now - before) / 1000);
+  before = now;
+  const every = view.span > LONG_S ? EVERY_LONG_MS : EVERY_MS;
+  if ((dirty || view.end !== shown) && now - drawn >= every) {
+    dirty = false;
+    drawn = now;
+    view.dispatchEvent(new Event("view"));
+  } else if (view.end !== shown) dirty = true;
+  if (now - slow >= SLOW_MS) { slow = now; view.dispatchEvent(new Event("slow")); }
+  requestAnimationFrame(frame);
+}
+
+requestAnimationFrame(frame);
+connect(store);
+window.camber = { store, view, map, charts };

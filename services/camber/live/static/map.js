@@ -1,0 +1,331 @@
+// The map: roads of the release, the track by verdict, the newest fix beside the confirmed position, both to scale.
+
+import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
+import { colour, element, metres, plain, SOURCE_COLOURS, VERDICT_COLOURS } from "./dom.js";
+import { rgba, TrackLayer } from "./track.js";
+
+const EARTH_M = 6378137;
+const NEAR_PX = 14;
+const RAMPS = {
+  sigma: { title: "σ of road height", stops: [[.01, "#4f8f83"], [.03, "#8fb573"], [.06, "#e0cf6a"], [.12, "#e29a4b"], [.3, "#b65a6a"]], ends: ["1 cm", "30 cm"] },
+  day: { title: "road last seen", stops: [[0, "#4f8f83"], [30, "#8fb573"], [180, "#e0cf6a"], [365, "#e29a4b"], [1460, "#b65a6a"]], ends: ["today", "4 years ago"] },
+  level: { title: "level", stops: [[-1, "#5566aa"], [0, "#9aa5b4"], [1, "#9b6fd0"], [2, "#d16fb0"]], ends: ["−1", "2"] },
+};
+const NOTHING = { type: "FeatureCollection", features: [] };
+
+export class CamberMap extends HTMLElement {
+  start(store, view) {
+    Object.assign(this, { store, view });
+    this.canvas = element("div", { class: "canvas" });
+    this.key = element("details", { class: "key", open: innerWidth > 760 });
+    this.tools = element("div", { class: "tools" });
+    this.append(this.canvas, this.tools, this.key);
+    this.makeTools();
+    if (!hasWebGL()) {
+      this.append(element("p", { class: "notice" }, "This browser has no WebGL 2, so the map is not drawn. Charts, fixes and health work without it."));
+      return;
+    }
+    maplibregl.setWorkerUrl(new URL("./vendor/maplibre-gl/maplibre-gl-worker.mjs", import.meta.url).href);
+    store.addEventListener("greeting", () => this.open());
+    view.addEventListener("view", () => this.refresh());
+    view.addEventListener("hover", () => this.mark());
+    view.addEventListener("selection", () => this.mark());
+    view.addEventListener("theme", () => this.paint());
+  }
+
+  makeTools() {
+    const { view } = this;
+    this.following = element("button", { type: "button", title: "keep the vehicle in the middle (f)", onclick: () => this.setFollow(!view.follow) }, "follow");
+    const whole = element("button", { type: "button", title: "show the whole track (a)", onclick: () => this.fit() }, "whole track");
+    const colours = element("select", { title: "colour of roads", onchange: event => { view.colour = event.target.value; this.paint(); view.change(); } },
+      ...Object.entries(RAMPS).map(([name, ramp]) => element("option", { value: name }, ramp.title)));
+    colours.value = view.colour;
+    const levels = element("select", { title: "levels of roads that are shown", onchange: event => { view.level = event.target.value; this.filter(); view.change(); } },
+      ...["all", "-2", "-1", "0", "1", "2"].map(name => element("option", { value: name }, name === "all" ? "all levels" : `level ${name.replace("-", "−")}`)));
+    levels.value = view.level;
+    this.tools.append(this.following, whole, colours, levels);
+  }
+
+  open() {
+    this.map?.remove();
+    this.ready = false;
+    this.placed = Boolean(this.view.place);
+    const [zoom, latitude, longitude, bearing] = this.view.place ?? [1, 20, 0, 0];
+    const map = this.map = new maplibregl.Map({
+      container: this.canvas, style: this.style(), center: [longitude, latitude], zoom, bearing, maxZoom: 24, minZoom: 1, maxPitch: 0,
+      attributionControl: false, dragRotate: true, pitchWithRotate: false, fadeDuration: 0, canvasContextAttributes: { antialias: true },
+    });
+    map.addControl(new maplibregl.NavigationControl({ visualizePitch: false }), "top-right");
+    map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-left");
+    map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); });
+    map.on("moveend", event => {
+      const centre = map.getCenter();
+      this.view.place = [+map.getZoom().toFixed(2), +centre.lat.toFixed(7), +centre.lng.toFixed(7), +map.getBearing().toFixed(1)];
+      if (event.originalEvent || this.placed) this.view.change("place");
+    });
+    map.on("dragstart", () => this.setFollow(false));
+    map.on("mousemove", event => this.view.point(this.timeAt(event.point)));
+    map.on("mouseout", () => this.view.point(NaN));
+    map.on("click", event => { const time = this.timeAt(event.point); if (Number.isFinite(time)) this.view.select(time); });
+    // Tiles that cannot be read are named among the notes; the map goes on without them.
+    map.on("error", event => { if (!/AJAXError|tile/i.test(event.error?.message ?? "")) this.problem = event.error?.message; });
+    this.vehicle = new maplibregl.Marker({ element: arrow(), rotationAlignment: "map", pitchAlignment: "map" });
+  }
+
+  style() {
+    const { greeting } = this.store, sources = {}, layers = [{ id: "land", type: "background" }];
+    if (greeting.raster) {
+      sources.raster = { type: "raster", tiles: [greeting.raster], tileSize: 256, maxzoom: 19 };
+      layers.push({ id: "raster", type: "raster", source: "raster" });
+    }
+    if (greeting.map) {
+      const address = new URL("map/{z}/{x}/{y}.mvt", location.href.split("#")[0].split("?")[0]).href.replaceAll("%7B", "{").replaceAll("%7D", "}");
+      sources.roads = { type: "vector", tiles: [address], minzoom: 6, maxzoom: 16, ...(greeting.map.bounds ? { bounds: greeting.map.bounds } : {}) };
+      layers.push(
+        { id: "squares", type: "fill", source: "roads", "source-layer": "squares", paint: { "fill-opacity": .35 } },
+        { id: "surfaces", type: "fill", source: "roads", "source-layer": "surfaces", minzoom: 14, layout: { "fill-sort-key": ["get", "level"] }, paint: { "fill-antialias": true } },
+        { id: "links", type: "line", source: "roads", "source-layer": "links", minzoom: 12, paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] } },
+      );
+    }
+    for (const name of ["now", "marks"]) sources[name] = { type: "geojson", data: NOTHING, maxzoom: 24, tolerance: 0 };
+    return { version: 8, sources, layers };
+  }
+
+  addLayers() {
+    const { map, store, view } = this, of = name => ["==", ["get", "kind"], name];
+    map.addLayer({ id: "level", type: "fill", source: "now", filter: of("level"), paint: { "fill-opacity": .1 } });
+    map.addLayer({ id: "level-line", type: "line", source: "now", filter: of("level"), paint: { "line-width": 1.8, "line-dasharray": [3, 2] } });
+    map.addLayer({ id: "ellipse-line", type: "line", source: "now", filter: of("ellipse"), paint: { "line-width": 1.8 } });
+    map.addLayer({ id: "pose-line", type: "line", source: "now", filter: of("pose"), paint: { "line-width": 1.2, "line-dasharray": [1, 1.5] } });
+    const range = table => ({ first: 0, begin: table.at(view.begin) + 1, end: table.at(view.end) + 1 });
+    const size = (small, large) => zoom => Math.min(large, Math.max(small, small + (zoom - 15) * .8));
+    map.addLayer(new TrackLayer("positions", {
+      table: () => store.tables.position, code: () => 0, colours: () => Array(6).fill(rgba(colour("soft"))), size: size(2, 3.5), range,
+    }));
+    map.addLayer(new TrackLayer("track", {
+      table: () => store.tables.verdict, code: (table, at) => table.arrays.verdict[at], emphasis: store.words.verdict.indexOf("erroneous"), size: size(4.5, 10), range,
+      colours: () => [...store.words.verdict.map(word => rgba(colour(VERDICT_COLOURS[word] ?? "unknown"))), ...Array(6)].slice(0, 6).map(c => c ?? [0, 0, 0, 0]),
+    }));
+    map.addLayer({ id: "apart", type: "line", source: "now", filter: of("apart"), paint: { "line-width": 2 } });
+    map.addLayer({ id: "tentative", type: "circle", source: "now", filter: of("tentative"), paint: { "circle-radius": 7, "circle-opacity": 0, "circle-stroke-width": 3 } });
+    map.addLayer({ id: "confirmed", type: "circle", source: "now", filter: of("confirmed"), paint: { "circle-radius": 4.5, "circle-stroke-width": 2 } });
+    map.addLayer({ id: "marks", type: "circle", source: "marks", paint: { "circle-radius": ["case", of("hover"), 9, 12], "circle-opacity": 0, "circle-stroke-width": ["case", of("hover"), 2, 3] } });
+    this.filter();
+  }
+
+  paint() {
+    this.drawKey();
+    if (!this.ready) return;
+    const { map } = this, has = id => map.getLayer(id), ink = colour("ink");
+    map.setPaintProperty("land", "background-color", colour("land"));
+    if (has("surfaces")) {
+      map.setPaintProperty("surfaces", "fill-color", rampExpression(this.view.colour));
+      map.setPaintProperty("surfaces", "fill-outline-color", colour("land"));
+      map.setPaintProperty("links", "line-color", colour("links"));
+      map.setPaintProperty("squares", "fill-color", colour("links"));
+    }
+    for (const [id, name] of [["level-line", "level"], ["ellipse-line", "confirmed"], ["pose-line", "pose"], ["apart", "erroneous"]]) map.setPaintProperty(id, "line-color", colour(name));
+    map.setPaintProperty("level", "fill-color", colour("level"));
+    map.setPaintProperty("tentative", "circle-stroke-color", ["get", "colour"]);
+    map.setPaintProperty("confirmed", "circle-color", colour("confirmed"));
+    map.setPaintProperty("confirmed", "circle-stroke-color", colour("card"));
+    map.setPaintProperty("marks", "circle-stroke-color", ink);
+    map.triggerRepaint();
+  }
+
+  filter() {
+    const { level } = this.view;
+    if (!this.map?.getLayer("surfaces")) return;
+    const only = level === "all" ? null : ["==", ["get", "level"], Number(level)];
+    for (const id of ["surfaces", "links"]) this.map.setFilter(id, only);
+  }
+
+  setFollow(on) {
+    if (this.view.follow === on) return;
+    this.view.follow = on;
+    this.view.change();
+    this.refresh();
+  }
+
+  // The state at the end of the view; called at most ten times a second.
+  refresh() {
+    this.following.setAttribute("aria-pressed", String(this.view.follow));
+    if (!this.ready || !Number.isFinite(this.view.end)) return;
+    const features = this.featuresNow();
+    this.map.getSource("now").setData({ type: "FeatureCollection", features });
+    this.moveCamera();
+    this.map.triggerRepaint();
+    if (this.key.dataset.words !== String(this.store.words.verdict)) this.drawKey();
+  }
+
+  featuresNow() {
+    const { store, view } = this, { position, verdict, pose } = store.tables, features = [];
+    const p = position.at(view.end), v = verdict.at(view.end), q = pose.at(view.end);
+    const recent = (table, at) => at >= 0 && view.end - table.arrays.t[at] < 3 && Number.isFinite(table.arrays.lat[at]);
+    this.here = null;
+    if (recent(pose, q)) {
+      const a = pose.arrays, [major, minor, angle] = ellipseOf(a.ee[q], a.en[q], a.nn[q]);
+      if (major > 0 && major < 2000) features.push(polygon("pose", a.lat[q], a.lon[q], 3.03 * major, 3.03 * minor, angle));
+      this.here = [a.lon[q], a.lat[q], a.yaw_rad[q]];
+    }
+    if (recent(position, p)) {
+      const a = position.arrays, at = [a.lon[p], a.lat[p]];
+      if (a.hpl_m[p] > 0 && a.hpl_m[p] < 2000) features.push(polygon("level", a.lat[p], a.lon[p], a.hpl_m[p], a.hpl_m[p], 0));
+      if (a.major_m[p] > 0 && a.major_m[p] < 2000) features.push(polygon("ellipse", a.lat[p], a.lon[p], a.major_m[p], a.minor_m[p], a.orientation_rad[p]));
+      features.push(point("confirmed", ...at));
+      this.here = [...at, Number.isFinite(a.yaw_rad[p]) ? a.yaw_rad[p] : this.here?.[2]];
+      if (recent(verdict, v) && view.end - verdict.arrays.t[v] < 1) {
+        const word = store.word("verdict", verdict.arrays.verdict[v]), fix = [verdict.arrays.lon[v], verdict.arrays.lat[v]];
+        features.push({ ...point("tentative", ...fix), properties: { kind: "tentative", colour: colour(VERDICT_COLOURS[word] ?? "unknown") } });
+        if (word === "erroneous") features.push({ type: "Feature", properties: { kind: "apart" }, geometry: { type: "LineString", coordinates: [at, fix] } });
+      }
+    }
+    return features;
+  }
+
+  moveCamera() {
+    if (this.here) {
+      const [longitude, latitude, yaw] = this.here;
+      this.vehicle.setLngLat([longitude, latitude]).setRotation(Number.isFinite(yaw) ? 90 - yaw * 180 / Math.PI : 0);
+      if (!this.shown) { this.vehicle.addTo(this.map); this.shown = true; }
+    } else if (this.shown) { this.vehicle.remove(); this.shown = false; }
+    if (!this.placed && this.here) {
+      this.placed = true;
+      this.map.jumpTo({ center: this.here.slice(0, 2), zoom: 18.5 });
+      if (!this.view.live) this.fit();
+      return;
+    }
+    if (this.view.follow && this.view.running && this.here) this.map.jumpTo({ center: this.here.slice(0, 2) });
+  }
+
+  fit() {
+    const { lat, lon } = this.store.tables.verdict.arrays, bounds = new maplibregl.LngLatBounds();
+    const table = this.store.tables.verdict, step = Math.max(1, Math.floor(table.length / 5000));
+    for (let k = 0; k < table.length; k += step) if (Number.isFinite(lat[k])) bounds.extend([lon[k], lat[k]]);
+    if (!bounds.isEmpty()) this.map?.fitBounds(bounds, { padding: 60, maxZoom: 19, animate: false });
+  }
+
+  goTo(time) {
+    const table = this.store.tables.verdict, at = table.at(time + 1e-3);
+    if (at < 0 || !this.ready || !Number.isFinite(table.arrays.lat[at])) return;
+    this.setFollow(false);
+    this.map.jumpTo({ center: [table.arrays.lon[at], table.arrays.lat[at]], zoom: Math.max(this.map.getZoom(), 19.5) });
+  }
+
+  mark() {
+    if (!this.ready) return;
+    const table = this.store.tables.verdict, features = [];
+    for (const [kind, time] of [["hover", this.view.hover], ["selected", this.view.selected]]) {
+      const at = Number.isFinite(time) ? table.at(time + 1e-3) : -1;
+      if (at >= 0 && Number.isFinite(table.arrays.lat[at])) features.push(point(kind, table.arrays.lon[at], table.arrays.lat[at]));
+    }
+    this.map.getSource("marks").setData({ type: "FeatureCollection", features });
+  }
+
+  timeAt({ x, y }) {
+    const table = this.store.tables.verdict;
+    if (!table || !this.ready) return NaN;
+    const corner = this.map.unproject([x - NEAR_PX, y + NEAR_PX]), other = this.map.unproject([x + NEAR_PX, y - NEAR_PX]);
+    const [west, east] = [corner.lng, other.lng].sort((a, b) => a - b), [south, north] = [corner.lat, other.lat].sort((a, b) => a - b);
+    const { lat, lon, t } = table.arrays;
+    let best = NaN, least = NEAR_PX;
+    for (let k = table.at(this.view.end); k >= 0; k--) {
+      if (!(lat[k] > south && lat[k] < north && lon[k] > west && lon[k] < east)) continue;
+      const at = this.map.project([lon[k], lat[k]]), away = Math.hypot(at.x - x, at.y - y);
+      if (away < least) { least = away; best = t[k]; }
+    }
+    return best;
+  }
+
+  drawKey() {
+    const ramp = RAMPS[this.view.colour], line = (kind, name, text) => element("div", {}, element("i", { class: kind, style: { background: colour(name), borderColor: colour(name) } }), text);
+    this.key.dataset.words = String(this.store.words.verdict);
+    const gradient = `linear-gradient(90deg, ${ramp.stops.map(stop => stop[1]).join(", ")})`;
+    this.key.replaceChildren(
+      element("summary", {}, "key"),
+      ...(this.store.words.verdict ?? []).map(word => line("dot", VERDICT_COLOURS[word], plain(word))),
+      line("ring", "level", "protection level"), line("ring", "confirmed", "99 % ellipse"), line("ring", "pose", "prior pose, 99 %"),
+      ...(this.store.greeting?.map ? [element("div", {}, `${ramp.title}`), element("div", {}, ramp.ends[0], element("i", { class: "ramp", style: { background: gradient } }), ramp.ends[1])] : []),
+    );
+  }
+
+  // The map as it is now, with its scale and north, on a canvas.
+  picture() {
+    if (!this.ready) return Promise.resolve(null);
+    return new Promise(done => {
+      this.map.once("render", () => {
+        const source = this.map.getCanvas(), copy = element("canvas", { width: source.width, height: source.height }), c = copy.getContext("2d");
+        c.drawImage(source, 0, 0);
+        drawScaleAndNorth(c, copy, this.map);
+        done(copy);
+      });
+      this.map.triggerRepaint();
+    });
+  }
+}
+
+function rampExpression(name) {
+  const today = Date.now() / 864e5;
+  const value = name === "day" ? ["max", 0, ["-", today, ["get", "day"]]] : ["get", name];
+  return ["interpolate", ["linear"], value, ...RAMPS[name].stops.flat()];
+}
+
+function hasWebGL() {
+  try { return Boolean(document.createElement("canvas").getContext("webgl2")); } catch { return false; }
+}
+
+function point(kind, longitude, latitude) {
+  return { type: "Feature", properties: { kind }, geometry: { type: "Point", coordinates: [longitude, latitude] } };
+}
+
+// An ellipse with half axes in metres, its major axis counter-clockwise from east.
+function polygon(kind, latitude, longitude, major, minor, angle) {
+  const degree = EARTH_M * Math.PI / 180, shrink = Math.cos(latitude * Math.PI / 180), ring = [];
+  const c = Math.cos(angle || 0), s = Math.sin(angle || 0);
+  for (let k = 0; k <= 64; k++) {
+    const a = major * Math.cos(k * Math.PI / 32), b = minor * Math.sin(k * Math.PI / 32);
+    ring.push([longitude + (a * c - b * s) / degree / shrink, latitude + (a * s + b * c) / degree]);
+  }
+  return { type: "Feature", properties: { kind }, geometry: { type: "Polygon", coordinates: [ring] } };
+}
+
+// Half axes of one σ and the major axis's angle.
+function ellipseOf(ee, en, nn) {
+  const middle = (ee + nn) / 2, apart = Math.hypot((ee - nn) / 2, en);
+  return [Math.sqrt(Math.max(middle + apart, 0)), Math.sqrt(Math.max(middle - apart, 0)), Math.atan2(2 * en, ee - nn) / 2];
+}
+
+function arrow() {
+  const space = "http://www.w3.org/2000/svg", svg = document.createElementNS(space, "svg"), path = document.createElementNS(space, "path");
+  svg.setAttribute("viewBox", "0 0 26 26");
+  path.setAttribute("d", "M13 2 L20 22 L13 18 L6 22 Z");
+  path.setAttribute("fill", "#1c2430");
+  path.setAttribute("stroke", "#ffffff");
+  path.setAttribute("stroke-width", "1.8");
+  path.setAttribute("stroke-linejoin", "round");
+  svg.append(path);
+  return element("div", { class: "vehicle" }, svg);
+}
+
+function drawScaleAndNorth(c, { width, height }, map) {
+  const factor = width / map.getContainer().clientWidth, y = map.getContainer().clientHeight / 2;
+  const perPixel = map.unproject([0, y]).distanceTo(map.unproject([100, y])) / 100, most = 140 * perPixel, decade = 10 ** Math.floor(Math.log10(most));
+  const length = [5, 2, 1].map(step => step * decade).find(step => step <= most), pixels = length / perPixel * factor;
+  c.strokeStyle = c.fillStyle = colour("ink");
+  c.lineWidth = 2 * factor;
+  c.font = `${13 * factor}px system-ui, sans-serif`;
+  c.beginPath();
+  c.moveTo(16 * factor, height - 24 * factor); c.lineTo(16 * factor, height - 16 * factor); c.lineTo(16 * factor + pixels, height - 16 * factor); c.lineTo(16 * factor + pixels, height - 24 * factor);
+  c.stroke();
+  c.fillText(metres(length, length < 1 ? 2 : 0), 20 * factor, height - 22 * factor);
+  c.save();
+  c.translate(width - 30 * factor, 40 * factor);
+  c.rotate(-map.getBearing() * Math.PI / 180);
+  c.beginPath();
+  c.moveTo(0, -20 * factor); c.lineTo(8 * factor, 8 * factor); c.lineTo(0, 2 * factor); c.lineTo(-8 * factor, 8 * factor);
+  c.fill();
+  c.fillText("N", -5 * factor, 24 * factor);
+  c.restore();
+}
+
+customElements.define("camber-map", CamberMap);

@@ -1,0 +1,160 @@
+"""Vector tiles against a decoder of their own, written from the specification."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camber.live.map_tiles import MapTiles, ReleaseSource, degrees_of
+from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
+from camber.replay.short_drive import write_short_drive
+from camber.road_map.release import open_release
+from camber.road_map.tile_grid import tile_frame
+from camber.schemas.road import ZOOM
+
+
+def varint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        value |= (data[at] & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if not data[at - 1] & 0x80:
+            return value, at
+
+
+def fields(data: bytes) -> Iterator[tuple[int, Any]]:
+    at = 0
+    while at < len(data):
+        key, at = varint(data, at)
+        if key & 7 == 0:
+            value, at = varint(data, at)
+            yield key >> 3, value
+        elif key & 7 == 5:
+            yield key >> 3, struct.unpack_from("<f", data, at)[0]
+            at += 4
+        else:
+            length, at = varint(data, at)
+            yield key >> 3, data[at : at + length]
+            at += length
+
+
+def varints(data: bytes) -> list[int]:
+    values, at = [], 0
+    while at < len(data):
+        value, at = varint(data, at)
+        values.append(value)
+    return values
+
+
+def geometry(commands: list[int]) -> list[list[tuple[int, int]]]:
+    parts: list[list[tuple[int, int]]] = []
+    x = y = at = 0
+    while at < len(commands):
+        command, count = commands[at] & 7, commands[at] >> 3
+        at += 1
+        if command == 7:
+            continue
+        for _ in range(count):
+            dx, dy = ((value >> 1) ^ -(value & 1) for value in commands[at : at + 2])
+            x, y, at = x + dx, y + dy, at + 2
+            if command == 1:
+                parts.append([])
+            parts[-1].append((x, y))
+    return parts
+
+
+def decoded(tile: bytes) -> dict[str, list[tuple[int, list[tuple[int, int]], dict[str, float]]]]:
+    layers = {}
+    for _, layer in fields(tile):
+        parts = list(fields(layer))
+        keys = [value.decode() for number, value in parts if number == 3]
+        values = []
+        for number, value in parts:
+            if number == 4:
+                ((kind, content),) = fields(value)
+                values.append(content if kind == 2 else (content >> 1) ^ -(content & 1))
+        features = []
+        for number, feature in parts:
+            if number == 2:
+                content = dict(fields(feature))
+                tags = varints(content[2])
+                properties = {keys[k]: values[v] for k, v in zip(tags[::2], tags[1::2], strict=True)}
+                features.append((content[1], geometry(varints(content[4]))[0], properties))
+        assert dict(parts)[5] == EXTENT
+        layers[dict(parts)[1].decode()] = features
+    return layers
+
+
+def test_what_is_encoded_is_decoded_again() -> None:
+    roads = TileLayer(name="roads", kind="Polygon")
+    ring = np.array([(10, 20), (300, 20), (300, -7), (10, -7)])
+    roads.add(2**40, ring, {"sigma": 0.5, "level": -3})
+    roads.add(5, ring + 1, {"sigma": 0.25, "level": 2})
+    lines = TileLayer(name="lines", kind="LineString")
+    lines.add(1, np.array([(0, 0), (0, 0), (5000, 8191)]), {})
+    tile = decoded(encode_tile([roads, lines]))
+    assert tile["roads"][0] == (
+        2**40,
+        [tuple(corner) for corner in ring.tolist()],
+        {"sigma": 0.5, "level": -3},
+    )
+    assert tile["roads"][1][2] == {"sigma": 0.25, "level": 2}
+    assert tile["lines"] == [(1, [(0, 0), (5000, 8191)], {})]
+
+
+def test_what_has_no_size_is_left_out() -> None:
+    roads, lines = TileLayer(name="roads", kind="Polygon"), TileLayer(name="lines", kind="LineString")
+    roads.add(1, np.array([(3, 3), (3, 3), (4, 4), (4, 4)]), {})
+    lines.add(1, np.array([(3, 3), (3, 3)]), {})
+    assert encode_tile([roads, lines]) == b""
+
+
+@pytest.fixture(scope="module")
+def tiles(tmp_path_factory: pytest.TempPathFactory) -> MapTiles:
+    manifest = write_short_drive(tmp_path_factory.mktemp("drive"))
+    return MapTiles(ReleaseSource(open_release(manifest.parent / "map")))
+
+
+def test_roads_are_where_the_release_has_them(tiles: MapTiles) -> None:
+    (x, y), *_ = tiles.source.tiles() or []
+    surfaces = tiles.source.surface_tile(x, y)
+    assert surfaces is not None
+    features = {
+        number: (ring, properties) for number, ring, properties in decoded(tiles.tile(ZOOM, x, y))["surfaces"]
+    }
+    assert features.keys() == set(surfaces.surface_id.tolist())
+    for row, number in enumerate(surfaces.surface_id.tolist()):
+        ring, properties = features[number]
+        middle = np.mean(ring, axis=0) / EXTENT
+        longitude, latitude = degrees_of(x + middle[0], y + middle[1])
+        place = tile_frame(x, y).east_north_from_geodetic_array(
+            *np.radians([[latitude], [longitude]]), np.zeros(1)
+        )
+        expected = (surfaces.centre_east_m[row], surfaces.centre_north_m[row])
+        np.testing.assert_allclose(place[0], expected, atol=0.1)  # a unit of the tile is 6 cm
+        assert properties["sigma"] == pytest.approx(float(surfaces.sigma_m[row]), abs=6e-4)
+        assert properties["level"] == surfaces.level[row]
+
+
+def test_smaller_zooms_have_links_then_squares(tiles: MapTiles) -> None:
+    (x, y), *_ = tiles.source.tiles() or []
+    layers = {
+        zoom: set(decoded(tiles.tile(zoom, x >> (ZOOM - zoom), y >> (ZOOM - zoom)))) for zoom in (14, 12, 9)
+    }
+    assert layers == {14: {"links", "surfaces"}, 12: {"links"}, 9: {"squares"}}
+    assert tiles.tile(ZOOM, 0, 0) == b""
+    assert tiles.tile(3, 0, 0) == tiles.tile(20, 0, 0) == b""
+
+
+def test_bounds_hold_all_tiles(tiles: MapTiles) -> None:
+    facts = tiles.source.describe()
+    west, south, east, north = facts["bounds"]
+    for x, y in tiles.source.tiles() or []:
+        longitude, latitude = degrees_of(x + 0.5, y + 0.5)
+        assert west < longitude < east
+        assert south < latitude < north
+    assert facts["surrogate"]
