@@ -177,7 +177,7 @@ def test_a_latent_fault_reaches_as_far_as_the_independent_position_lets_it_howev
 
 
 @pytest.mark.parametrize("odds", [0.0, 1e-3, 1.0, 1e13])
-def test_a_latent_fault_counts_with_its_odds_beside_those_of_the_others(odds):
+def test_a_latent_fault_counts_with_its_odds_like_the_others(odds):
     bounded = with_common_fault(
         with_latent(candidate(), odds, 1.0), pose(independent=independent(sigma_m=0.1)), LEVELS
     )
