@@ -1,30 +1,26 @@
-"""Writes recordings: what is in them is said in `camber.formats.drive.recording`."""
+"""Writes recordings, whose contents `camber.formats.drive.recording` describes."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import struct
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 import msgpack
 from mcap.writer import CompressionType, Writer
 
-from camber.formats.drive.message_json import json_schema, to_json
 from camber.formats.drive.recording import (
     ABOUT_DRIVE,
     ABOUT_END,
     MESSAGE_CLASSES,
     PROFILE,
-    SEQUENCE_MODULUS,
-    topic_of,
 )
-from camber.geodesy.gps_time import unix_ns_from_gps_ns
-from camber.schemas.channels import BY_NAME, CHANNELS
-from camber.schemas.codec import DecodeError, unpack
+from camber.formats.drive.viewer_messages import ViewerChannel, ViewerMessage, ViewerMessages
+from camber.schemas.channels import CHANNELS
+from camber.schemas.codec import DecodeError
 
 _ORDER = {channel.name: place for place, channel in enumerate(CHANNELS)}
 # Small enough that a killed recorder loses little, large enough to compress.
@@ -41,15 +37,6 @@ _LATEST_NS = (1 << 63) - 1  # beyond any date; MCAP has times as 64 bits without
 # Time, place of the channel in the table, key, sequence, payload: the order in the file.
 # Then arrival, schema, channel.
 _Pending = tuple[int, int, str, int, bytes, int, str, str]
-
-
-class _Numbered(NamedTuple):
-    """What has a number of its own in the file: messages of one key, schema and source, and high bits of sequence."""
-
-    key: str
-    schema: str
-    source: str
-    sequence_base: int
 
 
 class Recorder:
@@ -80,7 +67,8 @@ class Recorder:
         self._lock = threading.Lock()
         self._pending: list[_Pending] = []
         self._pending_bytes = 0
-        self._channels: dict[_Numbered, int] = {}
+        self._messages = ViewerMessages()
+        self._channels: dict[ViewerChannel, int] = {}
         self._schemas: dict[str, int] = {}
         self._unknown_schemas: set[str] = set()
         self._chunk_began_ns: int | None = None
@@ -164,28 +152,26 @@ class Recorder:
         return schema in MESSAGE_CLASSES or schema in self._unknown_schemas
 
     def _write(self, item: _Pending) -> None:
-        time_ns, _, key, sequence, payload, arrival_ns, schema, channel = item
+        _, _, key, _, payload, arrival_ns, _, channel = item
         try:
-            unpacked = unpack(payload)
-            data = to_json(unpacked.fields, MESSAGE_CLASSES.get(schema))
+            messages = list(self._messages.of(channel, key, payload))
         except (DecodeError, ValueError, RecursionError):
             self.malformed += 1
             return
-        base = sequence - sequence % SEQUENCE_MODULUS
-        numbered = _Numbered(key, schema, unpacked.source, base)
-        if numbered not in self._channels and len(self._channels) >= _MOST_CHANNELS:
+        if messages[0].channel not in self._channels and len(self._channels) >= _MOST_CHANNELS:
             self.malformed += 1
             return
-        number = self._channels.get(numbered) or self._register(channel, numbered)
-        self._add(
-            number, data, log_ns=unix_ns_from_gps_ns(time_ns), sequence=sequence - base, arrival_ns=arrival_ns
-        )
+        for message in messages:
+            self._add(message, arrival_ns)
 
-    def _add(self, number: int, data: bytes, *, log_ns: int, sequence: int, arrival_ns: int) -> None:
+    def _add(self, message: ViewerMessage, arrival_ns: int) -> None:
+        number = self._channels.get(message.channel) or self._register(message.channel)
+        times = {"log_time": message.log_ns, "publish_time": arrival_ns}
         self._settle()
-        self._writer.add_message(number, log_ns, data, arrival_ns, sequence)
-        self.written += 1
-        self._in_chunk += 1
+        self._writer.add_message(number, data=message.data, sequence=message.sequence, **times)
+        if message.channel.channel:
+            self.written += 1
+            self._in_chunk += 1
         self._settle()
 
     def _settle(self) -> None:
@@ -198,21 +184,15 @@ class Recorder:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._end, self._in_chunk = self._stream.tell(), 0
 
-    def _register(self, channel: str, numbered: _Numbered) -> int:
-        metadata = {"channel": channel, "key": numbered.key, "source": numbered.source}
-        if numbered.sequence_base:
-            metadata["sequence_base"] = str(numbered.sequence_base)
-        schema = self._schemas.get(numbered.schema) or self._register_schema(numbered.schema)
-        topic = topic_of(BY_NAME[channel], numbered.key)
-        number: int = self._writer.register_channel(topic, "json", schema, metadata)
-        self._channels[numbered] = number
-        return number
-
-    def _register_schema(self, name: str) -> int:
-        cls = MESSAGE_CLASSES.get(name)
-        described = {"title": name, "type": "object", "properties": {}} if cls is None else json_schema(cls)
-        number: int = self._writer.register_schema(name, "jsonschema", json.dumps(described).encode())
-        self._schemas[name] = number
+    def _register(self, channel: ViewerChannel) -> int:
+        schema = self._schemas.get(channel.schema)
+        if schema is None:
+            schema = self._writer.register_schema(channel.schema, *channel.described_by())
+            self._schemas[channel.schema] = schema
+        number: int = self._writer.register_channel(
+            channel.topic, channel.encoding, schema, channel.metadata()
+        )
+        self._channels[channel] = number
         return number
 
     def _flush_now_and_then(self, pending: list[_Pending]) -> None:

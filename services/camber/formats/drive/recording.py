@@ -2,7 +2,8 @@
 
     topic             the key without vehicle: `/gnss/fix`, `/integrity/verdict`
     MCAP channel      one for each key, schema and source, which stand in its metadata with the `channel` of the table
-    schema            `camber.Fix.v1`, encoding `jsonschema`; messages are JSON (`message_json.py`)
+    schema            `camber.Fix.v1`, encoding `jsonschema`; messages are JSON (`message_json.py`); a sweep is a
+                      PointCloud of Foxglove; beside them stand drawings (`camber.formats.foxglove.drawings`)
     log_time          time of measurement, Unix nanoseconds (UTC); the message itself says it in GPS time
     publish_time      when the recorder received it, Unix nanoseconds by its wall clock
     sequence          the sender's, less the `sequence_base` of the channel where there is one
@@ -33,6 +34,7 @@ from mcap.stream_reader import StreamReader
 
 from camber.formats.drive.message_json import from_json
 from camber.formats.errors import FormatError
+from camber.formats.foxglove.point_clouds import sweep_from_cloud
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
 from camber.schemas.codec import DecodeError, Received, decode
@@ -42,6 +44,7 @@ M = TypeVar("M", bound=Message)
 PROFILE = "camber"
 ABOUT_DRIVE, ABOUT_END = "camber.drive", "camber.recording"
 SEQUENCE_MODULUS = 1 << 32  # of MCAP
+POINT_CLOUD = "foxglove.PointCloud"
 MESSAGE_CLASSES: dict[str, type[Message]] = {
     cls.schema_name(): cls for c in CHANNELS for cls in (c.message, c.reply) if cls is not None
 }
@@ -198,6 +201,12 @@ class _Contents:
 
 
 def _received(record: McapMessage, described: _Described) -> Received[Any]:
+    envelope: dict[str, Any] = {
+        "source": described.source,
+        "sequence": described.sequence_base + record.sequence,
+    }
+    if (described.schema, described.encoding) == (POINT_CLOUD, "protobuf"):
+        return Received(message=sweep_from_cloud(record.data), **envelope)
     cls = MESSAGE_CLASSES.get(described.schema)
     if cls is None:
         raise DecodeError("a schema that this version does not know")
@@ -205,5 +214,4 @@ def _received(record: McapMessage, described: _Described) -> Received[Any]:
         return decode(cls, record.data)
     if described.encoding != "json":
         raise DecodeError(f"encoding {described.encoding[:40]!r}, which this version does not know")
-    sequence = described.sequence_base + record.sequence
-    return Received(message=from_json(cls, record.data), source=described.source, sequence=sequence)
+    return Received(message=from_json(cls, record.data), **envelope)
