@@ -16,7 +16,9 @@ PROGRAMS = {
     "dpkg-query": "echo install ok installed",
     # Nothing is installed by a test.
     **dict.fromkeys(("apt-get", "sudo"), "exit 1"),
-    **dict.fromkeys(("make", "git", "rnx2rtkp", "ip", "iptables", "nats-server", "python3"), "exit 0"),
+    **dict.fromkeys(
+        ("make", "git", "rnx2rtkp", "ip", "iptables", "nats-server", "chromium", "python3"), "exit 0"
+    ),
 }
 NO_ENGINE = "ci: SKIPPED what needs a container engine"
 

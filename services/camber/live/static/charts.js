@@ -1,10 +1,9 @@
 // Time series below one another with one cursor: what the judge compared, levels, source, satellites, ages.
 
 import uPlot from "./vendor/uplot/uPlot.esm.js";
-import { clock, colour, duration, element, metres, plain, setText, SOURCE_COLOURS, VERDICT_COLOURS } from "./dom.js";
+import { clock, colour, duration, element, metres, plain, remPx, setText, SOURCE_COLOURS, VERDICT_COLOURS } from "./dom.js";
 
 const MOST_POINTS = 1600; // about what a chart has pixels
-const AXIS_PX = 50;
 const AGES = ["fix", "velocity", "pose", "scan_match", "antenna_height", "motion"];
 const AGE_COLOURS = ["confirmed", "verified", "level", "pose", "erroneous", "soft"];
 const MOST_AGE_S = 3;
@@ -81,17 +80,18 @@ export class CamberCharts extends HTMLElement {
     const names = definition.labels.map((label, k) => element("span", {}, element("i", { style: { background: colours.length ? colour(colours[k]) : definition.series[k].stroke } }), label));
     const head = element("div", { class: "head", title: definition.note?.() ?? "" }, element("b", {}, definition.title + (definition.unit ? `, ${definition.unit}` : "")), ...names, values);
     const box = element("div", { class: definition.band ? "chart band" : "chart" }, head, holder);
-    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
+    const letters = Math.round(11 * remPx() / 14), axisPx = Math.round(50 * remPx() / 14);
+    const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: `${letters}px system-ui, sans-serif` };
     const plot = new uPlot({
       width: 300, height: 80, legend: { show: false }, padding: [6, 8, 0, 0],
       cursor: {
-        sync: { key: "camber", setSeries: false }, drag: { x: true, y: false, setScale: false }, y: false, points: { show: false },
+        drag: { x: true, y: false, setScale: false }, y: false, points: { show: false },
         bind: { dblclick: () => () => null },
       },
       scales: { x: { time: true, range: () => [view.begin, view.end] }, y: definition.logarithmic ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: definition.range } },
       axes: [
-        { ...axis, size: lowest ? 20 : 4, space: 70, values: (_, splits) => splits.map(time => !lowest ? "" : time % 60 === 0 ? clock(time).slice(0, 5) : clock(time).slice(0, 8)) },
-        definition.band ? { ...axis, size: AXIS_PX, values: () => [], grid: { show: false } } : { ...axis, size: AXIS_PX, space: 26, values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(3))) },
+        { ...axis, size: lowest ? letters + 9 : 4, space: 6.5 * letters, values: (_, splits) => splits.map(time => !lowest ? "" : time % 60 === 0 ? clock(time).slice(0, 5) : clock(time).slice(0, 8)) },
+        definition.band ? { ...axis, size: axisPx, values: () => [], grid: { show: false } } : { ...axis, size: axisPx, space: 2.4 * letters, values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(3)).replace("-", "−")) },
       ],
       series: [{}, ...definition.series.map(series => definition.band ? { ...series, show: true, paths: () => null, points: { show: false } } : series)],
       bands: definition.bands ?? [],
@@ -132,7 +132,9 @@ export class CamberCharts extends HTMLElement {
 
   showHover() {
     const { hover } = this.view;
-    for (const { table, say, values, names } of this.charts) {
+    for (const { plot, table, say, values, names } of this.charts) {
+      const left = Number.isFinite(hover) ? plot.valToPos(hover, "x") : -10;
+      if (Math.abs((plot.cursor.left ?? -10) - left) > .5) plot.setCursor({ left, top: 5 }, false);
       const rows = this.store.tables[table], at = Number.isFinite(hover) ? rows.at(hover + .05) : -1;
       for (const name of names) name.hidden = at >= 0;
       setText(values, at >= 0 ? say(rows.arrays, at).join(" · ") : "");

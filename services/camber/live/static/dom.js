@@ -20,7 +20,18 @@ export function rows(list, pairs) {
   list.replaceChildren(...kept.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
 }
 
-export const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+// Asked for many times a frame, so kept until the theme changes.
+const colours = new Map();
+let themeOfColours = null;
+export function colour(name) {
+  const { theme } = document.documentElement.dataset;
+  if (theme !== themeOfColours) { colours.clear(); themeOfColours = theme; }
+  if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim());
+  return colours.get(name);
+}
+
+// Size of the page's letters, by which everything that is drawn grows on a large screen.
+export const remPx = () => innerWidth >= 2400 ? 20 : 14;
 export const plain = word => word.replaceAll("_", " ");
 
 export function metres(value, digits = 2) {

@@ -1,17 +1,16 @@
 // The map: roads of the release, the track by verdict, the newest fix beside the confirmed position, both to scale.
 
 import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
-import { colour, element, metres, plain, SOURCE_COLOURS, VERDICT_COLOURS } from "./dom.js";
+import { colour, element, metres, plain, remPx, VERDICT_COLOURS } from "./dom.js";
+import { Overlay, stateAt } from "./overlay.js";
 import { rgba, TrackLayer } from "./track.js";
 
-const EARTH_M = 6378137;
 const NEAR_PX = 14;
 const RAMPS = {
   sigma: { title: "σ of road height", stops: [[.01, "#4f8f83"], [.03, "#8fb573"], [.06, "#e0cf6a"], [.12, "#e29a4b"], [.3, "#b65a6a"]], ends: ["1 cm", "30 cm"] },
   day: { title: "road last seen", stops: [[0, "#4f8f83"], [30, "#8fb573"], [180, "#e0cf6a"], [365, "#e29a4b"], [1460, "#b65a6a"]], ends: ["today", "4 years ago"] },
   level: { title: "level", stops: [[-1, "#5566aa"], [0, "#9aa5b4"], [1, "#9b6fd0"], [2, "#d16fb0"]], ends: ["−1", "2"] },
 };
-const NOTHING = { type: "FeatureCollection", features: [] };
 
 export class CamberMap extends HTMLElement {
   start(store, view) {
@@ -19,7 +18,8 @@ export class CamberMap extends HTMLElement {
     this.canvas = element("div", { class: "canvas" });
     this.key = element("details", { class: "key", open: innerWidth > 760 });
     this.tools = element("div", { class: "tools" });
-    this.append(this.canvas, this.tools, this.key);
+    this.overlay = new Overlay();
+    this.append(this.canvas, this.overlay.canvas, this.tools, this.key);
     this.makeTools();
     if (!hasWebGL()) {
       this.append(element("p", { class: "notice" }, "This browser has no WebGL 2, so the map is not drawn. Charts, fixes and health work without it."));
@@ -69,7 +69,7 @@ export class CamberMap extends HTMLElement {
     map.on("click", event => { const time = this.timeAt(event.point); if (Number.isFinite(time)) this.view.select(time); });
     // Tiles that cannot be read are named among the notes; the map goes on without them.
     map.on("error", event => { if (!/AJAXError|tile/i.test(event.error?.message ?? "")) this.problem = event.error?.message; });
-    this.vehicle = new maplibregl.Marker({ element: arrow(), rotationAlignment: "map", pitchAlignment: "map" });
+    map.on("render", () => { if (this.now) this.overlay.draw(map, this.now, this.marked()); });
   }
 
   style() {
@@ -87,18 +87,13 @@ export class CamberMap extends HTMLElement {
         { id: "links", type: "line", source: "roads", "source-layer": "links", minzoom: 12, paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] } },
       );
     }
-    for (const name of ["now", "marks"]) sources[name] = { type: "geojson", data: NOTHING, maxzoom: 24, tolerance: 0 };
     return { version: 8, sources, layers };
   }
 
   addLayers() {
-    const { map, store, view } = this, of = name => ["==", ["get", "kind"], name];
-    map.addLayer({ id: "level", type: "fill", source: "now", filter: of("level"), paint: { "fill-opacity": .1 } });
-    map.addLayer({ id: "level-line", type: "line", source: "now", filter: of("level"), paint: { "line-width": 1.8, "line-dasharray": [3, 2] } });
-    map.addLayer({ id: "ellipse-line", type: "line", source: "now", filter: of("ellipse"), paint: { "line-width": 1.8 } });
-    map.addLayer({ id: "pose-line", type: "line", source: "now", filter: of("pose"), paint: { "line-width": 1.2, "line-dasharray": [1, 1.5] } });
+    const { map, store, view } = this;
     const range = table => ({ first: 0, begin: table.at(view.begin) + 1, end: table.at(view.end) + 1 });
-    const size = (small, large) => zoom => Math.min(large, Math.max(small, small + (zoom - 15) * .8));
+    const size = (small, large) => zoom => Math.min(large, Math.max(small, small + (zoom - 15) * .8)) * remPx() / 14;
     map.addLayer(new TrackLayer("positions", {
       table: () => store.tables.position, code: () => 0, colours: () => Array(6).fill(rgba(colour("soft"))), size: size(2, 3.5), range,
     }));
@@ -106,17 +101,13 @@ export class CamberMap extends HTMLElement {
       table: () => store.tables.verdict, code: (table, at) => table.arrays.verdict[at], emphasis: store.words.verdict.indexOf("erroneous"), size: size(4.5, 10), range,
       colours: () => [...store.words.verdict.map(word => rgba(colour(VERDICT_COLOURS[word] ?? "unknown"))), ...Array(6)].slice(0, 6).map(c => c ?? [0, 0, 0, 0]),
     }));
-    map.addLayer({ id: "apart", type: "line", source: "now", filter: of("apart"), paint: { "line-width": 2 } });
-    map.addLayer({ id: "tentative", type: "circle", source: "now", filter: of("tentative"), paint: { "circle-radius": 7, "circle-opacity": 0, "circle-stroke-width": 3 } });
-    map.addLayer({ id: "confirmed", type: "circle", source: "now", filter: of("confirmed"), paint: { "circle-radius": 4.5, "circle-stroke-width": 2 } });
-    map.addLayer({ id: "marks", type: "circle", source: "marks", paint: { "circle-radius": ["case", of("hover"), 9, 12], "circle-opacity": 0, "circle-stroke-width": ["case", of("hover"), 2, 3] } });
     this.filter();
   }
 
   paint() {
     this.drawKey();
     if (!this.ready) return;
-    const { map } = this, has = id => map.getLayer(id), ink = colour("ink");
+    const { map } = this, has = id => map.getLayer(id);
     map.setPaintProperty("land", "background-color", colour("land"));
     if (has("surfaces")) {
       map.setPaintProperty("surfaces", "fill-color", rampExpression(this.view.colour));
@@ -124,12 +115,6 @@ export class CamberMap extends HTMLElement {
       map.setPaintProperty("links", "line-color", colour("links"));
       map.setPaintProperty("squares", "fill-color", colour("links"));
     }
-    for (const [id, name] of [["level-line", "level"], ["ellipse-line", "confirmed"], ["pose-line", "pose"], ["apart", "erroneous"]]) map.setPaintProperty(id, "line-color", colour(name));
-    map.setPaintProperty("level", "fill-color", colour("level"));
-    map.setPaintProperty("tentative", "circle-stroke-color", ["get", "colour"]);
-    map.setPaintProperty("confirmed", "circle-color", colour("confirmed"));
-    map.setPaintProperty("confirmed", "circle-stroke-color", colour("card"));
-    map.setPaintProperty("marks", "circle-stroke-color", ink);
     map.triggerRepaint();
   }
 
@@ -151,44 +136,15 @@ export class CamberMap extends HTMLElement {
   refresh() {
     this.following.setAttribute("aria-pressed", String(this.view.follow));
     if (!this.ready || !Number.isFinite(this.view.end)) return;
-    const features = this.featuresNow();
-    this.map.getSource("now").setData({ type: "FeatureCollection", features });
+    this.now = stateAt(this.store, this.view.end);
     this.moveCamera();
     this.map.triggerRepaint();
     if (this.key.dataset.words !== String(this.store.words.verdict)) this.drawKey();
   }
 
-  featuresNow() {
-    const { store, view } = this, { position, verdict, pose } = store.tables, features = [];
-    const p = position.at(view.end), v = verdict.at(view.end), q = pose.at(view.end);
-    const recent = (table, at) => at >= 0 && view.end - table.arrays.t[at] < 3 && Number.isFinite(table.arrays.lat[at]);
-    this.here = null;
-    if (recent(pose, q)) {
-      const a = pose.arrays, [major, minor, angle] = ellipseOf(a.ee[q], a.en[q], a.nn[q]);
-      if (major > 0 && major < 2000) features.push(polygon("pose", a.lat[q], a.lon[q], 3.03 * major, 3.03 * minor, angle));
-      this.here = [a.lon[q], a.lat[q], a.yaw_rad[q]];
-    }
-    if (recent(position, p)) {
-      const a = position.arrays, at = [a.lon[p], a.lat[p]];
-      if (a.hpl_m[p] > 0 && a.hpl_m[p] < 2000) features.push(polygon("level", a.lat[p], a.lon[p], a.hpl_m[p], a.hpl_m[p], 0));
-      if (a.major_m[p] > 0 && a.major_m[p] < 2000) features.push(polygon("ellipse", a.lat[p], a.lon[p], a.major_m[p], a.minor_m[p], a.orientation_rad[p]));
-      features.push(point("confirmed", ...at));
-      this.here = [...at, Number.isFinite(a.yaw_rad[p]) ? a.yaw_rad[p] : this.here?.[2]];
-      if (recent(verdict, v) && view.end - verdict.arrays.t[v] < 1) {
-        const word = store.word("verdict", verdict.arrays.verdict[v]), fix = [verdict.arrays.lon[v], verdict.arrays.lat[v]];
-        features.push({ ...point("tentative", ...fix), properties: { kind: "tentative", colour: colour(VERDICT_COLOURS[word] ?? "unknown") } });
-        if (word === "erroneous") features.push({ type: "Feature", properties: { kind: "apart" }, geometry: { type: "LineString", coordinates: [at, fix] } });
-      }
-    }
-    return features;
-  }
+  get here() { return this.now?.here ?? null; }
 
   moveCamera() {
-    if (this.here) {
-      const [longitude, latitude, yaw] = this.here;
-      this.vehicle.setLngLat([longitude, latitude]).setRotation(Number.isFinite(yaw) ? 90 - yaw * 180 / Math.PI : 0);
-      if (!this.shown) { this.vehicle.addTo(this.map); this.shown = true; }
-    } else if (this.shown) { this.vehicle.remove(); this.shown = false; }
     if (!this.placed && this.here) {
       this.placed = true;
       this.map.jumpTo({ center: this.here.slice(0, 2), zoom: 18.5 });
@@ -212,14 +168,15 @@ export class CamberMap extends HTMLElement {
     this.map.jumpTo({ center: [table.arrays.lon[at], table.arrays.lat[at]], zoom: Math.max(this.map.getZoom(), 19.5) });
   }
 
-  mark() {
-    if (!this.ready) return;
-    const table = this.store.tables.verdict, features = [];
-    for (const [kind, time] of [["hover", this.view.hover], ["selected", this.view.selected]]) {
+  mark() { this.map?.triggerRepaint(); }
+
+  // Places of the verdicts at the cursor and of the one that is looked at.
+  marked() {
+    const { t, lat, lon } = this.store.tables.verdict.arrays, table = this.store.tables.verdict;
+    return [["hover", this.view.hover], ["selected", this.view.selected]].flatMap(([kind, time]) => {
       const at = Number.isFinite(time) ? table.at(time + 1e-3) : -1;
-      if (at >= 0 && Number.isFinite(table.arrays.lat[at])) features.push(point(kind, table.arrays.lon[at], table.arrays.lat[at]));
-    }
-    this.map.getSource("marks").setData({ type: "FeatureCollection", features });
+      return at >= 0 && Math.abs(t[at] - time) < 2 && Number.isFinite(lat[at]) ? [{ kind, at: [lon[at], lat[at]] }] : [];
+    });
   }
 
   timeAt({ x, y }) {
@@ -256,6 +213,7 @@ export class CamberMap extends HTMLElement {
       this.map.once("render", () => {
         const source = this.map.getCanvas(), copy = element("canvas", { width: source.width, height: source.height }), c = copy.getContext("2d");
         c.drawImage(source, 0, 0);
+        c.drawImage(this.overlay.canvas, 0, 0, copy.width, copy.height);
         drawScaleAndNorth(c, copy, this.map);
         done(copy);
       });
@@ -272,39 +230,6 @@ function rampExpression(name) {
 
 function hasWebGL() {
   try { return Boolean(document.createElement("canvas").getContext("webgl2")); } catch { return false; }
-}
-
-function point(kind, longitude, latitude) {
-  return { type: "Feature", properties: { kind }, geometry: { type: "Point", coordinates: [longitude, latitude] } };
-}
-
-// An ellipse with half axes in metres, its major axis counter-clockwise from east.
-function polygon(kind, latitude, longitude, major, minor, angle) {
-  const degree = EARTH_M * Math.PI / 180, shrink = Math.cos(latitude * Math.PI / 180), ring = [];
-  const c = Math.cos(angle || 0), s = Math.sin(angle || 0);
-  for (let k = 0; k <= 64; k++) {
-    const a = major * Math.cos(k * Math.PI / 32), b = minor * Math.sin(k * Math.PI / 32);
-    ring.push([longitude + (a * c - b * s) / degree / shrink, latitude + (a * s + b * c) / degree]);
-  }
-  return { type: "Feature", properties: { kind }, geometry: { type: "Polygon", coordinates: [ring] } };
-}
-
-// Half axes of one σ and the major axis's angle.
-function ellipseOf(ee, en, nn) {
-  const middle = (ee + nn) / 2, apart = Math.hypot((ee - nn) / 2, en);
-  return [Math.sqrt(Math.max(middle + apart, 0)), Math.sqrt(Math.max(middle - apart, 0)), Math.atan2(2 * en, ee - nn) / 2];
-}
-
-function arrow() {
-  const space = "http://www.w3.org/2000/svg", svg = document.createElementNS(space, "svg"), path = document.createElementNS(space, "path");
-  svg.setAttribute("viewBox", "0 0 26 26");
-  path.setAttribute("d", "M13 2 L20 22 L13 18 L6 22 Z");
-  path.setAttribute("fill", "#1c2430");
-  path.setAttribute("stroke", "#ffffff");
-  path.setAttribute("stroke-width", "1.8");
-  path.setAttribute("stroke-linejoin", "round");
-  svg.append(path);
-  return element("div", { class: "vehicle" }, svg);
 }
 
 function drawScaleAndNorth(c, { width, height }, map) {

@@ -32,8 +32,8 @@ class CamberNow extends Panel {
     const reason = fresh ? store.word("reason", a.reason[p]) : "none";
     setText(this.why, fresh && reason !== "none" && !a.usable[p] ? plain(reason) : fresh ? "" : "no position was published");
     rows(this.list, fresh ? [
-      ["HPL of alert limit", `${metres(a.hpl_m[p])} of ${metres(a.alert_m[p], 1)}`],
-      ["VPL of alert limit", `${metres(a.vpl_m[p])} of ${metres(a.vertical_alert_m[p], 1)}`],
+      ["HPL", `${metres(a.hpl_m[p])}, limit ${metres(a.alert_m[p], 1)}`],
+      ["VPL", `${metres(a.vpl_m[p])}, limit ${metres(a.vertical_alert_m[p], 1)}`],
       ["reference", plain(store.word("horizontal_reference", a.horizontal_reference[p]))],
       ["pose rests on", q >= 0 ? plain(store.word("basis", pose.arrays.basis[q])) : null],
       ["speed", q >= 0 && Number.isFinite(pose.arrays.speed_m_s[q]) ? `${(3.6 * pose.arrays.speed_m_s[q]).toFixed(0)} km/h` : null],
@@ -85,9 +85,9 @@ class CamberFix extends Panel {
     const evidence = store.words.evidence.filter((_, place) => a.evidence[at] & 1 << place).map(plain).join(", ");
     rows(this.list, [
       ["time", `${clock(a.t[at])} UTC`],
-      ["height difference", Number.isFinite(a.difference_m[at]) ? metres(a.difference_m[at]) : null],
+      ["height", Number.isFinite(a.difference_m[at]) ? metres(a.difference_m[at]) : null],
       ["tolerance", Number.isFinite(a.tolerance_m[at]) ? `±${metres(a.tolerance_m[at])}` : null],
-      ["east, north of pose", Number.isFinite(a.east_m[at]) ? `${metres(a.east_m[at])}, ${metres(a.north_m[at])}` : null],
+      ["off the pose", Number.isFinite(a.east_m[at]) ? `${metres(a.east_m[at])} E, ${metres(a.north_m[at])} N` : null],
       ["evidence", evidence],
       ["lasting cause", cause === "none" ? null : plain(cause)],
       ["true error", Number.isFinite(a.error_m[at]) ? metres(a.error_m[at]) : null],
@@ -155,7 +155,7 @@ class CamberHealth extends Panel {
   channels(list) {
     const cell = (text, more = {}) => element("td", more, text);
     const head = element("tr", {}, ...["channel", "Hz", "age", "queue"].map(name => element("th", {}, name)));
-    const body = list.filter(channel => channel.rate_hz !== null || channel.age_s !== null).map(channel => element("tr", {},
+    const body = list.filter(channel => channel.age_s !== null).map(channel => element("tr", {},
       cell(plain(channel.channel)), cell(channel.rate_hz === null ? "" : channel.rate_hz.toFixed(1)),
       cell(channel.age_s === null ? "" : duration(channel.age_s), { class: channel.late ? "late" : "" }), cell(String(channel.waiting))));
     return element("table", {}, head, ...body);
@@ -177,7 +177,7 @@ class CamberNotes extends Panel {
     const lines = [
       [map ? `Map: ${map.region}${map.version ? `, version ${map.version}` : ""}${map.datum ? `, ${map.datum}` : ""}` : "No map: --map gives the page one"],
       map?.surrogate ? [`The map was not surveyed: ${map.surrogate}`] : null, map_problem ? [map_problem, "bad"] : null,
-      status.problem ? [status.problem, "bad"] : null, left.length ? [`Messages not shown: ${left.join(", ")}`, "bad"] : null, ...notes.map(note => [note]),
+      status.problem ? [status.problem, "bad"] : null, left.length ? [`Messages not shown: ${left.join(", ")}`, left.length === 1 && status.left_out.late ? "" : "bad"] : null, ...notes.map(note => [note]),
       this.map.problem ? [this.map.problem, "bad"] : null,
     ].filter(Boolean);
     this.list.replaceChildren(...lines.map(([text, kind]) => element("p", { class: kind ?? "" }, text)));
