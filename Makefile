@@ -48,7 +48,7 @@ $(MADE):
 	@touch $@
 
 .venv/.development: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,simulator,dev]'
+	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,foxglove,simulator,dev]'
 	@touch .venv/.runtime $@
 
 .venv/.mutation: pyproject.toml constraints.txt $(MADE) | .venv/.development

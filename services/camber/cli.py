@@ -54,6 +54,9 @@ TOOL_GROUPS = {
     },
     "operation": {
         "live": Command("camber.live.command", "serve a web page of the bus, a recording or a replay"),
+        "foxglove": Command(
+            "camber.live.foxglove_server", "serve what is on the bus to Foxglove and Lichtblick"
+        ),
         "router": Command("camber.runtime.router", "run a Zenoh router in Python"),
         "status": Command(
             "camber.tools.operate.status", "show services, rates, ages, queues and last issues"
@@ -84,6 +87,7 @@ VERSION = Command("importlib.metadata", "print the version")
 
 EXTRA_OF = {
     "asyncpg": "fleet",
+    "foxglove": "foxglove",
     "hatanaka": "engine",
     "laspy": "map",
     "matplotlib": "plots",
