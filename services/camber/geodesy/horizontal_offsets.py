@@ -27,3 +27,13 @@ def east_north_between(
     return east * wrap_pi(to_longitude_rad - from_longitude_rad), north * (
         to_latitude_rad - from_latitude_rad
     )
+
+
+def place_at(
+    latitude_rad: float, longitude_rad: float, east_m: float, north_m: float, *, height_m: float = 0.0
+) -> tuple[float, float]:
+    """Latitude and longitude [rad] of the point that far from another: the inverse of `east_north_between`."""
+    to_latitude_rad = latitude_rad + north_m / (meridian_radius_m(latitude_rad) + height_m)
+    middle = 0.5 * (latitude_rad + to_latitude_rad)
+    around_m = (prime_vertical_radius_m(middle) + height_m) * math.cos(middle)
+    return to_latitude_rad, wrap_pi(longitude_rad + east_m / around_m)

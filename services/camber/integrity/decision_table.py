@@ -220,6 +220,13 @@ TEST_RULES: tuple[DecisionRule, ...] = (
         lambda tests: tests.contradicts_independent,
         _independent_figures,
     ),
+    _compared(
+        "position_disagrees",
+        "the fix goes on from fixes that began elsewhere than where [earlier confirmed ones "
+        "lead](../theory/integrity.md#carried-position)",
+        lambda tests: tests.began_elsewhere,
+        _figures,
+    ),
     *(
         _failed_rule(
             outcome, "unknown", f"the {part} is between agreement and contradiction, or beyond its cap"

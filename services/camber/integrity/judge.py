@@ -7,6 +7,7 @@ it by that of another estimate of the fix. The decision itself is the list in `d
 
 from __future__ import annotations
 
+from camber.integrity.checks.carried_position import odds_of
 from camber.integrity.checks.fix_history import FixHistory
 from camber.integrity.checks.fix_sequence import FixSequence
 from camber.integrity.checks.fix_tests import FixTests, JudgeState
@@ -45,7 +46,12 @@ class Judge:
         limit_ns = now_ns + round(self.rules.future_limit_s * 1e9)
         self.latest.forget_after(limit_ns)
         self.before.forget_after(limit_ns)
+        self._state.carried.forget_after(limit_ns)
         self._fixes.forget_after(limit_ns)
+
+    def inputs(self, at_ns: int, alive: frozenset[str]) -> EpochInputs:
+        """What is known at this time besides the fix."""
+        return self._state.inputs(at_ns, alive)
 
     def correction(self, inputs: EpochInputs) -> Correction:
         """The correction in force, for a height that needs no fix."""
@@ -72,5 +78,17 @@ class Judge:
         speed_m_s = self.latest.speed_at(fix.time_ns, self.rules.motion_max_age_s)
         self._base = base_of(fix)
         self.before.settle(judgement, speed_m_s)
+        self._carry(judgement)
         if judgement.comparison is not None:
             self.learning.update(residual_of(judgement, judgement.comparison, speed_m_s))
+
+    def _carry(self, judgement: FixJudgement) -> None:
+        """Carry the position of confirmed fixes on by one more fix."""
+        fix, pose = judgement.fix, self.latest.pose_near(judgement.fix.time_ns)
+        if pose is None or fix.covariance_enu_m2 is None:
+            return
+        odds = None
+        if judgement.confirmed and judgement.comparison is not None:
+            wrong = self.rules.levels.wrong_fix
+            odds = odds_of(judgement.comparison, wrong, fix.satellites, judgement.trials)
+        self._state.carried.settle(fix, pose, odds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from camber.integrity.checks.captured_pose import CaptureRules
+from camber.integrity.checks.carried_position import CarriedRules
 from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.checks.start_rule import StartRules
 from camber.integrity.checks.time_series import SeriesRules
@@ -52,6 +53,7 @@ class Rules:
     true_sigma: TrueSigma = field(default_factory=TrueSigma)
     learning: LearningRules = field(default_factory=LearningRules)
     capture: CaptureRules = field(default_factory=CaptureRules)
+    carried: CarriedRules = field(default_factory=CarriedRules)
     start: StartRules = field(default_factory=StartRules)
     series: SeriesRules = field(default_factory=SeriesRules)
     verification: VerificationRules = field(default_factory=VerificationRules)

@@ -138,7 +138,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._schedule.verdict(now_ns)
         self._positions.update_dispute(judgement)
         if judgement.confirmed:
-            inputs = self._judge.latest.inputs(judgement.fix.time_ns, alive)
+            inputs = self._judge.inputs(judgement.fix.time_ns, alive)
             correction_m = self._judge.correction(inputs).correction_m
             self.bus.publish("position", self._positions.confirmed(judgement, correction_m, inputs))
             self._schedule.rtk(fix.time_ns)
@@ -153,7 +153,7 @@ class IntegrityService(Service[IntegritySettings]):
     ) -> FixJudgement:
         """Return the judgement of another estimate of the fix where one passes, else the one given."""
         rules, fix = self._rules.re_estimation, judgement.fix
-        asked_ns, inputs = self.bus.now_ns(), self._judge.latest.inputs(fix.time_ns, alive)
+        asked_ns, inputs = self.bus.now_ns(), self._judge.inputs(fix.time_ns, alive)
         pose, missing = inputs.pose, inputs.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it is no independent evidence.
         if pose is None or missing is not None or is_provisional(pose):
@@ -183,7 +183,7 @@ class IntegrityService(Service[IntegritySettings]):
         pose = self._judge.latest.pose
         if pose is None or not self._schedule.pose_is_due(pose.time_ns):
             return
-        inputs = self._judge.latest.inputs(pose.time_ns, alive)
+        inputs = self._judge.inputs(pose.time_ns, alive)
         self._schedule.position(pose.time_ns)
         self.bus.publish(
             "position", self._positions.at(pose.time_ns, inputs, self._judge.correction(inputs).correction_m)
@@ -195,7 +195,7 @@ class IntegrityService(Service[IntegritySettings]):
         position_is_due = self._schedule.position_is_due(now_ns, self._rules.pose_max_age_s)
         if not (verdict_is_due or position_is_due):
             return
-        inputs = self._judge.latest.inputs(now_ns, alive)
+        inputs = self._judge.inputs(now_ns, alive)
         reason = self._silence_reason(now_ns, inputs)
         if reason is not None and verdict_is_due:
             self._schedule.verdict(now_ns)

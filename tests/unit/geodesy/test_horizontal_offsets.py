@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.geodesy.angles import wrap_pi
-from camber.geodesy.horizontal_offsets import east_north_between
+from camber.geodesy.horizontal_offsets import east_north_between, place_at
 from camber.geodesy.local_frame import LocalFrame
 
 latitude = st.floats(-1.5, 1.5)
@@ -48,3 +48,11 @@ def test_across_the_antimeridian_the_smaller_angle_counts():
 def test_higher_up_the_same_angle_is_farther():
     low, high = (east_north_between(0.6, 2.4, 0.6001, 2.4001, height_m) for height_m in (0.0, 1000.0))
     assert np.all(np.greater(high, low))
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+def test_the_place_at_an_offset_has_that_offset(latitude_rad, longitude_rad, east_m, north_m):
+    there = place_at(latitude_rad, longitude_rad, east_m, north_m, height_m=100.0)
+    offset = east_north_between(latitude_rad, longitude_rad, *there, height_m=100.0)
+    assert offset == pytest.approx((east_m, north_m), abs=1e-3)

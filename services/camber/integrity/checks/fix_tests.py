@@ -6,9 +6,11 @@ Each is computed when it is first asked for, and only asks: neither history nor 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 
 from camber.integrity.checks.captured_pose import FixRun
+from camber.integrity.checks.carried_position import CarriedPosition
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
 from camber.integrity.checks.comparison import FixComparison, compare
 from camber.integrity.checks.consistency import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
@@ -18,7 +20,7 @@ from camber.integrity.checks.independent_position import IndependentComparison, 
 from camber.integrity.checks.pose_gate import offset_from_pose, pose_sigma_m
 from camber.integrity.checks.start_rule import StartCount
 from camber.integrity.checks.verification import phase_residuals_agree, scan_matching_agrees, verified
-from camber.integrity.epoch_inputs import age_s
+from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
 from camber.integrity.learning.height_residual import base_of, key_of
@@ -35,6 +37,15 @@ class JudgeState:
 
     def __init__(self, rules: Rules, latest: LatestInputs, history: FixHistory, learning: Learning) -> None:
         self.rules, self.latest, self.history, self.learning = rules, latest, history, learning
+        self.carried = CarriedPosition(rules.carried, rules.true_sigma, rules.levels.wrong_fix)
+
+    def inputs(self, at_ns: int, alive: frozenset[str]) -> EpochInputs:
+        """What is known at this time besides the fix, with the pose at the carried position where that is narrower."""
+        inputs = self.latest.inputs(at_ns, alive)
+        pose = inputs.pose
+        if pose is None or is_provisional(pose) or not pose_sigma_m(pose) <= self.rules.pose_sigma_limit_m:
+            return inputs
+        return replace(inputs, pose=self.carried.improve(pose))
 
 
 class FixTests:
@@ -43,7 +54,7 @@ class FixTests:
     def __init__(self, fix: Fix, state: JudgeState, *, alive: frozenset[str], trials: int) -> None:
         self.fix, self.trials = fix, trials
         self.rules, self.determination = state.rules, state.rules.determination
-        self.inputs = state.latest.inputs(fix.time_ns, alive)
+        self.inputs = state.inputs(fix.time_ns, alive)
         self._state = state
 
     @property
@@ -72,8 +83,19 @@ class FixTests:
 
     @property
     def has_common_offset(self) -> bool:
-        """Are all fixes off by one vector, of the base or the datum, or one that grows?"""
-        return self.cause_here in ("base", "drift")
+        """Are all fixes off by one vector, of the base or the datum, or one that grows, and this one with them?"""
+        return self.cause_here in ("base", "drift") and not self.is_back_from_offset
+
+    @property
+    def is_back_from_offset(self) -> bool:
+        """Does it agree again with fixes that were confirmed before the offset of all fixes began?"""
+        cause = self._state.learning.diagnosis(None)
+        if self.outcome != ALL_AGREE or cause.onset_ns is None or cause.east_north_m is None:
+            return False
+        # A pose that is wide agrees with fixes that have the offset too.
+        narrow = self.comparison.acceptance_radius_m < math.hypot(*cause.east_north_m)
+        returned = self._state.carried.has_returned_since(cause.onset_ns, self.fix.time_ns)
+        return narrow and returned and not self.began_elsewhere
 
     # Tests that need neither pose nor road.
 
@@ -205,6 +227,19 @@ class FixTests:
         """Does the fix neither agree with the independent position nor contradict it?"""
         return self.independent is not None and not self.independent.agrees
 
+    @cached_property
+    def began_elsewhere(self) -> bool:
+        """Has the run of fixes that it goes on from begun elsewhere than where earlier confirmed fixes lead?"""
+        if not self.determination.asks_position or self.is_starting:
+            return False
+        limits = limits_after(self.determination, self.trials)
+        return self._state.carried.began_elsewhere(self.fix, self.pose, limits)
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Does it not agree with the independent position, or its run not with where earlier confirmed fixes lead?"""
+        return self.is_unverified_by_independent or self.began_elsewhere
+
     @property
     def has_pose_of_fixes(self) -> bool:
         """Have fixes anchored the pose, so that agreement with it is that of fixes with one another?"""
@@ -296,7 +331,7 @@ class FixTests:
     @cached_property
     def verification(self) -> tuple[Evidence, ...]:
         """The evidence that confirms the fix although a test is against it; empty where it does not suffice."""
-        if self.is_starting or not is_precise(self.fix, self.rules) or self.is_unverified_by_independent:
+        if self.is_starting or not is_precise(self.fix, self.rules) or self.is_elsewhere:
             return ()
         evidence = self._verification_evidence()
         if self.outcome != ALL_AGREE and self.comparison.position != AGREES:
