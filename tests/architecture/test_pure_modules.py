@@ -20,7 +20,12 @@ PURE = [
     if name.split(".")[1] in (*SERVICES, SENSORS) and path.stem not in WIRING
 ]
 # What a distribution is imported as, where it is not its own name with underscores.
-IMPORTED_AS = {"eclipse_zenoh": "zenoh", "nats_py": "nats", "pyserial": "serial"}
+IMPORTED_AS = {
+    "eclipse_zenoh": "zenoh",
+    "foxglove_sdk": "foxglove",
+    "nats_py": "nats",
+    "pyserial": "serial",
+}
 
 
 def imports(path: Path) -> set[str]:

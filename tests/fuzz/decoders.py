@@ -16,7 +16,9 @@ import numpy as np
 import zstandard
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.drive.message_json import from_json, to_json
 from camber.formats.errors import FormatError
+from camber.formats.foxglove.point_clouds import cloud_from_sweep, sweep_from_cloud
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
 from camber.formats.lidar_can.dbc import read_dbc
 from camber.formats.lidar_can.firings import LidarDecoder
@@ -69,7 +71,7 @@ from camber.road_map.road_columns import ReleaseError
 from camber.road_map.road_tiles import surface_tiles
 from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import tile_frame
-from camber.schemas.codec import DecodeError, decode, encode
+from camber.schemas.codec import DecodeError, decode, encode, unpack
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.sensors.lidar_reader import LidarReader
@@ -266,6 +268,25 @@ def _read_message(data: bytes) -> None:
     classes = message_classes()
     named = [cls for cls in classes if cls.schema_name().encode() in data[:100]]
     decode(named[0] if named else classes[len(data) % len(classes)], data)
+
+
+def _recorded(random: Random) -> list[list[bytes]]:
+    return [
+        [cls.schema_name().encode(), b" ", to_json(unpack(data).fields, cls)]
+        for cls in message_classes()
+        for data in (encode(build(cls, random, filled=True)),)
+    ]
+
+
+def _read_recorded(data: bytes) -> None:
+    name, _, text = data.partition(b" ")
+    classes = message_classes()
+    named = [cls for cls in classes if cls.schema_name().encode() == name]
+    from_json(named[0] if named else classes[len(data) % len(classes)], text)
+
+
+def _clouds(random: Random) -> list[list[bytes]]:
+    return [[cloud_from_sweep(build(Sweep, random, filled=filled))] for filled in (False, True)]
 
 
 def _pcd(random: Random) -> list[list[bytes]]:
@@ -533,6 +554,8 @@ DECODERS: tuple[Target, ...] = (
     Target("rinex", _rinex, stream=lambda: RinexDecoder("fuzz")),
     Target("rinex_navigation", _rinex_navigation, stream=lambda: NavigationDecoder("fuzz")),
     Target("messages", _messages, read=_read_message, refusal=DecodeError),
+    Target("recorded_messages", _recorded, read=_read_recorded, refusal=DecodeError),
+    Target("recorded_sweeps", _clouds, read=sweep_from_cloud, refusal=DecodeError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
     Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),

@@ -36,7 +36,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert "drive.json" in capsys.readouterr().err
 
 
-def test_the_map_of_a_run_is_found_in_its_folder(tmp_path: Path) -> None:
+def test_the_map_of_a_run_is_that_of_its_folder(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     within = DriveFacts(drive="d", truth=False, map_release="city/map")
     assert folder.map_release(within) == tmp_path / "city" / "map"
