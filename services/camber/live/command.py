@@ -163,6 +163,7 @@ def _listen(host: str, port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
+        listening.listen()  # who opens the page as soon as its address is printed waits, and is not refused
     except OSError:
         listening.close()
         raise
