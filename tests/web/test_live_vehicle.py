@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,11 +30,10 @@ ERRONEOUS = (217, 58, 30)
 """`--erroneous` of the page's light colours."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Here:
     vehicle: LiveVehicle
-    browser: Any
-    address: str
+    server: Any
     shown: WatchedPage
 
 
@@ -44,10 +44,11 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Here]:
         vehicle = LiveVehicle(tmp_path_factory.mktemp("vehicle"), free_endpoint())
         ends.enter_context(driving(vehicle))
         command = ("live", "--connect", vehicle.endpoint, "--vehicle", VEHICLE, "--port", 0)
-        address = served_address(ends.enter_context(camber_started(*command)))
+        server = ends.enter_context(camber_started(*command))
+        address = served_address(server)
         shown = watched(browser, f"{address}#span=60&theme=light")
         shown.wait_for("camber.map.ready && camber.store.tables.verdict.length > 20")
-        yield Here(vehicle, browser, address, shown)
+        yield Here(vehicle=vehicle, server=server, shown=shown)
 
 
 def pixels_near(page: Any, selector: str, colour: tuple[int, int, int]) -> int:
@@ -104,6 +105,12 @@ def test_pictures_at_every_size(here: Here, size: str) -> None:
     page.screenshot(path=PICTURES / f"{size}.png")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "something is beyond the edge"
     page.keyboard.press("t")
+
+
+def test_the_server_is_small(here: Here) -> None:
+    status = Path(f"/proc/{here.server.pid}/status").read_text()
+    (peak_kb,) = (int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
+    assert peak_kb < 150_000
 
 
 def test_nothing_left_the_machine_and_nothing_went_wrong(here: Here) -> None:

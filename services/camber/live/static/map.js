@@ -53,7 +53,7 @@ export class CamberMap extends HTMLElement {
     const [zoom, latitude, longitude, bearing] = this.view.place ?? [1, 20, 0, 0];
     const map = this.map = new maplibregl.Map({
       container: this.canvas, style: this.style(), center: [longitude, latitude], zoom, bearing, maxZoom: 24, minZoom: 1, maxPitch: 0,
-      attributionControl: false, dragRotate: true, pitchWithRotate: false, fadeDuration: 0, canvasContextAttributes: { antialias: true },
+      attributionControl: false, dragRotate: true, pitchWithRotate: false, fadeDuration: 0, canvasContextAttributes: { antialias: false },
     });
     map.addControl(new maplibregl.NavigationControl({ visualizePitch: false }), "top-right");
     map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-left");
