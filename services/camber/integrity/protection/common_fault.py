@@ -1,9 +1,8 @@
 """A position under the hypothesis that all fixes are off by one vector, or that the map is shifted.
 
-Wrong base coordinate, fixes that are led away, a captured pose, a wrong fix that has passed and taken the pose along
-(`latent_fault`): candidate and pose are then off alike, by a vector b. With the candidate x = truth + b and the
-independent position y = truth + e, e ~ N(0, C), their difference d = x − y = b − e is known, and the error of the
-candidate is
+Wrong base coordinate, fixes that are led away, a captured pose: candidate and pose are then off alike, by a vector b.
+With the candidate x = truth + b and the independent position y = truth + e, e ~ N(0, C), their difference
+d = x − y = b − e is known, and the error of the candidate is
 
     x − truth = d + e ~ N(d, C)
 
@@ -12,6 +11,11 @@ calibrations since its last evidence. C grows with the way driven, and the level
 is at fault too, by a vector N(0, M) of another cause, the error is N(d, C + M). The weights are
 `common_fault_probability`. Solution separation (Blanch et al. 2015, IEEE Trans. AES 51(1), 713–732) bounds a faulted
 subset in the same way, by the distance to the solution that does not use it.
+
+A wrong fix that has passed and taken the pose along (`latent_fault`) is such a fault, of which more is known: its error
+is N(0, G), so with d at most N(d, 2 (G⁻¹ + C⁻¹)⁻¹). The factor is 1 if the errors of both positions are independent,
+which those of a pose and of the independent position, by the same odometry and matches, are not: their conditional
+covariance T has T ⪯ G and T ⪯ C, hence T⁻¹ ⪰ (G⁻¹ + C⁻¹) / 2.
 
 A shifted map shifts the independent position with it, and whatever position the map gives. Its prior is small beside
 the others: of a candidate of the fixes it counts together with a common fault, of a candidate of the map alone.
@@ -26,6 +30,7 @@ from camber.integrity.protection.common_fault_probability import (
     CommonFaultOdds,
     CommonFaultRules,
     common_fault_odds,
+    likelihood_ratio,
 )
 from camber.integrity.protection.position_bounds import (
     ErrorMixture,
@@ -56,13 +61,15 @@ def with_common_fault(
     parts = [part for part in candidate.mixture.parts if not part.is_latent]
     latent = sum(part.weight for part in candidate.mixture.parts if part.is_latent)
     rest = max(1.0 - latent, _LEAST_SHARE)
-    odds = _odds(candidate, offset, faults.prior_odds + latent / rest, faults)
-    total = 1.0 + odds.alone + odds.with_independent
+    if_right_m2 = _sum(_horizontal(candidate), offset.covariance_m2)
+    odds = common_fault_odds(offset.difference_m, if_right_m2, faults)
+    after = _latent_after(candidate, offset, if_right_m2, faults)
+    total = 1.0 + odds.alone + odds.with_independent + sum(part.weight for part in after) / rest
     if candidate.source in ("sensors", "scan_match"):
         parts = _with_shifted_map(parts, faults)
     mixture = ErrorMixture(
         (
-            *(_weighed(part, 1.0 / (rest * total)) for part in parts),
+            *(_weighed(part, 1.0 / (rest * total)) for part in (*parts, *after)),
             *_common_fault_parts(candidate, offset, odds=odds, total=total, rules=rules),
         ),
         candidate.mixture.lost,
@@ -70,12 +77,66 @@ def with_common_fault(
     return replace(candidate, mixture=mixture)
 
 
-def _odds(
-    candidate: PositionCandidate, offset: OffsetFromIndependent, prior_odds: float, faults: CommonFaultRules
-) -> CommonFaultOdds:
+def _latent_after(
+    candidate: PositionCandidate,
+    offset: OffsetFromIndependent,
+    if_right_m2: Horizontal,
+    faults: CommonFaultRules,
+) -> list[MixtureComponent]:
+    """The latent faults of the candidate after the comparison, with weights relative to those of its other parts."""
+    result: list[MixtureComponent] = []
+    shares_errors = candidate.source in ("sensors", "scan_match")
+    for part in candidate.mixture.parts:
+        if not part.is_latent or part.weight == 0.0:
+            continue
+        if_wrong_m2 = _sum(part.horizontal_m2, offset.covariance_m2)
+        both_m2 = _plus(if_wrong_m2, faults.independent_sigma_m)
+        ratio = likelihood_ratio(offset.difference_m, if_wrong_m2, if_right_m2)
+        both = faults.independent_prior * likelihood_ratio(offset.difference_m, both_m2, if_right_m2)
+        bounded = replace(
+            part,
+            weight=ratio * part.weight,
+            mean_m=(*offset.difference_m, part.mean_m[2]),
+            horizontal_m2=_conditional(part.horizontal_m2, offset.covariance_m2, shares_errors),
+        )
+        result += [bounded, _weighed(part, both)]
+    return result
+
+
+def _conditional(one_m2: Horizontal, other_m2: Horizontal, shares_errors: bool) -> Horizontal:
+    """(A⁻¹ + B⁻¹)⁻¹ = (det A · B + det B · A) / det(A + B), twice where the errors may have a part in common.
+
+    In two dimensions, by adj(A) = tr(A) 1 − A.
+    """
+    det_one, det_other, total = (
+        _determinant(one_m2),
+        _determinant(other_m2),
+        _determinant(_sum(one_m2, other_m2)),
+    )
+    scale = (2.0 if shares_errors else 1.0) / total
+    a, b, c = (
+        scale * (det_one * other + det_other * one) for one, other in zip(one_m2, other_m2, strict=True)
+    )
+    return a, b, c
+
+
+def _determinant(covariance_m2: Horizontal) -> float:
+    ee, en, nn = covariance_m2
+    return ee * nn - en * en
+
+
+def _horizontal(candidate: PositionCandidate) -> Horizontal:
     ee, en, _, nn, _, _ = candidate.covariance_enu_m2
-    c_ee, c_en, c_nn = offset.covariance_m2
-    return common_fault_odds(offset.difference_m, (ee + c_ee, en + c_en, nn + c_nn), prior_odds, faults)
+    return ee, en, nn
+
+
+def _sum(one_m2: Horizontal, other_m2: Horizontal) -> Horizontal:
+    return one_m2[0] + other_m2[0], one_m2[1] + other_m2[1], one_m2[2] + other_m2[2]
+
+
+def _plus(covariance_m2: Horizontal, sigma_m: float) -> Horizontal:
+    ee, en, nn = covariance_m2
+    return ee + sigma_m**2, en, nn + sigma_m**2
 
 
 def _common_fault_parts(
@@ -110,9 +171,7 @@ def _with_shifted_map(parts: list[MixtureComponent], faults: CommonFaultRules) -
 
 
 def _wider(part: MixtureComponent, sigma_m: float) -> MixtureComponent:
-    ee, en, nn = part.horizontal_m2
-    wider: Horizontal = (ee + sigma_m**2, en, nn + sigma_m**2)
-    return replace(part, horizontal_m2=wider)
+    return replace(part, horizontal_m2=_plus(part.horizontal_m2, sigma_m))
 
 
 def _weighed(part: MixtureComponent, share: float) -> MixtureComponent:

@@ -18,7 +18,11 @@ the candidate's vector, that of d is that one convolved with N(0, S + M), nowher
 
     p(d | both) / N(d; 0, S) ≤ √(det S / det (S + M)) · exp(m²/2)
 
-Odds = odds before any test × this ratio. Pure floats; metres; east, north.
+**A wrong fix has passed and taken the pose along** (`latent_fault`). Its error g has a distribution, N(0, G) with the
+position's own error. Here agreement is evidence, by the ratio N(d; 0, G + C) / N(d; 0, S), C being that of the
+independent position; if that is at fault too, by N(d; 0, G + C + M) / N(d; 0, S).
+
+Odds = odds before any test × these ratios. Pure floats; metres; east, north.
 """
 
 from __future__ import annotations
@@ -74,12 +78,11 @@ class CommonFaultOdds:
 
 
 def common_fault_odds(
-    difference_m: tuple[float, float], covariance_m2: Horizontal, prior_odds: float, rules: CommonFaultRules
+    difference_m: tuple[float, float], covariance_m2: Horizontal, rules: CommonFaultRules
 ) -> CommonFaultOdds:
-    """Odds after the independent position was found this far off.
+    """Odds after the independent position was found this far off, S being `covariance_m2` (ee, en, nn).
 
-    `covariance_m2`: S (ee, en, nn); `prior_odds` that the candidate has a fault that only the independent position
-    shows. A difference or covariance that is not finite is a fault.
+    A difference or covariance that is not finite is a fault.
     """
     half = 0.5 * horizontal_distance2(*difference_m, covariance_m2)
     if not half < MOST_LOG_ODDS:
@@ -90,6 +93,24 @@ def common_fault_odds(
     determinant, wider = ee * nn - en * en, (ee + fault_m2) * (nn + fault_m2) - en * en
     peak = math.sqrt(determinant / wider) if 0.0 < determinant < wider < math.inf else 1.0
     return CommonFaultOdds(
-        alone=prior_odds * math.exp(log_alone),
-        with_independent=prior_odds * rules.independent_prior * peak * math.exp(half),
+        alone=rules.prior_odds * math.exp(log_alone),
+        with_independent=rules.prior_odds * rules.independent_prior * peak * math.exp(half),
     )
+
+
+def likelihood_ratio(
+    difference_m: tuple[float, float], if_wrong_m2: Horizontal, if_right_m2: Horizontal
+) -> float:
+    """N(d; 0, wrong) / N(d; 0, right) for two covariances (ee, en, nn); the most where one is none."""
+    against = 0.5 * (
+        horizontal_distance2(*difference_m, if_right_m2) - horizontal_distance2(*difference_m, if_wrong_m2)
+    )
+    right, wrong = _determinant(if_right_m2), _determinant(if_wrong_m2)
+    if not (0.0 < right < math.inf and 0.0 < wrong < math.inf and against < MOST_LOG_ODDS):
+        return math.exp(MOST_LOG_ODDS)
+    return math.sqrt(right / wrong) * math.exp(against)
+
+
+def _determinant(covariance_m2: Horizontal) -> float:
+    ee, en, nn = covariance_m2
+    return ee * nn - en * en

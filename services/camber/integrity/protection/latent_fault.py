@@ -3,11 +3,16 @@
 Confirmed fixes anchor the pose: one that was wrong and has passed has pulled it along, and agrees with it afterwards.
 The hypothesis fades as episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan
 matching agrees with the pose place after place.
+
+How far off such a fix may be depends on how well the pose was known then: metres at the start, centimetres later. Both
+are kept, by classes of the offset's variance, a power of two each and rounded up. One variance for all would be that of
+the many narrow ones; what reaches beyond the alert limit at a risk of 1e-7 are the few wide ones.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from camber.geodesy.horizontal_offsets import east_north_between
@@ -17,26 +22,49 @@ from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.pose import Pose
 
 _MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset of the latent fault
+_LEAST_CLASS = -8
+"""Chosen: variances up to 2⁻⁸ m², σ 6 cm, are one class; it is what a right fix is off by."""
+_LEAST_ODDS = 1e-14
+"""Chosen: a ten-millionth of an integrity risk of 1e-7; what is less likely is not kept."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatentFaultPart:
+    """Wrong fixes of one class: odds, and mean squares of the offset (each axis, upwards) [m²].
+
+    `marked_odds`: the share of `odds` that was there at the last `marked`.
+    """
+
+    odds: float
+    horizontal_m2: float
+    up_m2: float
+    marked_odds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatentFaultHypothesis:
-    """That what fixes and pose stand on is a wrong fix: odds, and mean squares of the offset (each axis, upwards).
+    """That what fixes and pose stand on is a wrong fix, by how far it is off: the widest class first.
 
     `time_ns` None: no fix has been confirmed yet.
     """
 
     time_ns: int | None
-    odds: float
-    horizontal_m2: float
-    up_m2: float
+    parts: tuple[LatentFaultPart, ...]
 
     @classmethod
     def initial(cls, rules: WrongFixRules) -> LatentFaultHypothesis:
         """Of a pose that rests on fixes of which nothing is known here."""
-        horizontal_m2, up_m2 = rules.second_moment_m2
         odds = math.exp(log_odds_of_share(rules.prior))
-        return cls(time_ns=None, odds=odds, horizontal_m2=horizontal_m2, up_m2=up_m2)
+        parts = [
+            LatentFaultPart(odds=share * odds, horizontal_m2=east_m2, up_m2=up_m2)
+            for share, (east_m2, _, up_m2) in rules.parts
+        ]
+        return cls(time_ns=None, parts=_by_class(parts))
+
+    @property
+    def odds(self) -> float:
+        """Odds of all classes together."""
+        return sum(part.odds for part in self.parts)
 
     def remaining_share(self, time_ns: int, rules: WrongFixRules) -> float:
         """The share of it that is left at a later time: episodes of wrong fixes end."""
@@ -45,39 +73,82 @@ class LatentFaultHypothesis:
         return math.exp(-max(time_ns - self.time_ns, 0) / (rules.episode_s * 1e9))
 
     def after(
-        self, time_ns: int, odds: float, wrong: MixtureComponent, rules: WrongFixRules
+        self, time_ns: int, odds: float, wrong: Sequence[MixtureComponent], rules: WrongFixRules
     ) -> LatentFaultHypothesis:
         """After a confirmed fix: the episode may have lasted, or another have begun since the fix before.
 
-        `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong.
+        `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong, by shares of one.
         """
         remaining_share = self.remaining_share(time_ns, rules)
+        lasted = [
+            replace(part, odds=remaining_share * part.odds, marked_odds=remaining_share * part.marked_odds)
+            for part in self.parts
+        ]
         begun = (1.0 - remaining_share) * odds
-        total = remaining_share * self.odds + begun
-        share = begun / total if total > 0.0 else 0.0
-        (east_m, north_m, up_m), (ee, _, nn) = wrong.mean_m, wrong.horizontal_m2
-        horizontal_m2, up_m2 = max(east_m * east_m + ee, north_m * north_m + nn), up_m * up_m + wrong.up_m2
         return LatentFaultHypothesis(
-            time_ns=time_ns,
-            odds=total,
-            horizontal_m2=self.horizontal_m2 + share * (horizontal_m2 - self.horizontal_m2),
-            up_m2=self.up_m2 + share * (up_m2 - self.up_m2),
+            time_ns=time_ns, parts=_by_class([*lasted, *(_begun(part, begun) for part in wrong)])
         )
 
-    def corroborate(self, before: LatentFaultHypothesis, rules: LevelRules) -> LatentFaultHypothesis:
-        """After a scan match has found the pose where it is: what is left of `before` would take a wrong match too."""
-        assert self.time_ns is not None
-        left = before.remaining_share(self.time_ns, rules.wrong_fix) * before.odds
-        return replace(self, odds=self.odds - (1.0 - rules.false_match_prior) * left)
+    def marked(self) -> LatentFaultHypothesis:
+        """The same; `corroborated` is about what is there now."""
+        return replace(self, parts=tuple(replace(part, marked_odds=part.odds) for part in self.parts))
 
-    def part(self, weight: float) -> MixtureComponent:
-        """What was pulled along."""
-        return MixtureComponent(
-            weight=weight,
-            horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2),
-            up_m2=self.up_m2,
-            is_latent=True,
+    def corroborated(self, least_m2: float, rules: LevelRules) -> LatentFaultHypothesis:
+        """After a scan match has found the pose where it is: what is left of what was marked would take a wrong match.
+
+        Of classes from `least_m2` on alone: the match says nothing of less.
+        """
+        wrong = 1.0 - rules.false_match_prior
+        parts = [
+            replace(part, odds=part.odds - wrong * part.marked_odds, marked_odds=0.0)
+            if part.horizontal_m2 >= least_m2
+            else part
+            for part in self.parts
+        ]
+        return replace(self, parts=tuple(parts))
+
+    def components(self, share: float) -> tuple[MixtureComponent, ...]:
+        """What was pulled along, `share` of its odds as weights."""
+        return tuple(
+            MixtureComponent(
+                weight=share * part.odds,
+                horizontal_m2=(part.horizontal_m2, 0.0, part.horizontal_m2),
+                up_m2=part.up_m2,
+                is_latent=True,
+            )
+            for part in self.parts
+            if share * part.odds > 0.0
         )
+
+
+def _begun(wrong: MixtureComponent, odds: float) -> LatentFaultPart:
+    (east_m, north_m, up_m), (ee, _, nn) = wrong.mean_m, wrong.horizontal_m2
+    return LatentFaultPart(
+        odds=wrong.weight * odds,
+        horizontal_m2=max(east_m * east_m + ee, north_m * north_m + nn),
+        up_m2=up_m * up_m + wrong.up_m2,
+    )
+
+
+def _by_class(parts: Sequence[LatentFaultPart]) -> tuple[LatentFaultPart, ...]:
+    """One part for each class, the widest first; heights are averaged within it."""
+    classes: dict[int, LatentFaultPart] = {}
+    for part in parts:
+        if not part.odds > _LEAST_ODDS:
+            continue
+        number = math.ceil(math.log2(max(part.horizontal_m2, 2.0**_LEAST_CLASS)))
+        before = classes.get(number)
+        if before is None:
+            classes[number] = replace(part, horizontal_m2=2.0**number)
+            continue
+        odds = before.odds + part.odds
+        classes[number] = replace(
+            before,
+            odds=odds,
+            marked_odds=before.marked_odds + part.marked_odds,
+            up_m2=before.up_m2 + part.odds / odds * (part.up_m2 - before.up_m2),
+        )
+    return tuple(classes[number] for number in sorted(classes, reverse=True))
 
 
 class MatchCorroboration:
@@ -89,7 +160,7 @@ class MatchCorroboration:
     def __init__(self, rules: LevelRules) -> None:
         self._rules = rules
         self._last: tuple[float, float] | None = None
-        self._before: LatentFaultHypothesis | None = None
+        self._marked_ns: int | None = None
 
     def update(self, pose: Pose, latent_fault: LatentFaultHypothesis) -> LatentFaultHypothesis:
         """The fault hypothesis after a pose."""
@@ -98,17 +169,18 @@ class MatchCorroboration:
         here = pose.latitude_rad, pose.longitude_rad
         if self._last is None:
             self._last = here
-        if self._before is None:
+        if self._marked_ns is None:
             far = math.hypot(*east_north_between(*self._last, *here)) >= self._rules.matches_apart_m
-            if far and latent_fault.time_ns is not None:
-                self._before = latent_fault
+            if not far or latent_fault.time_ns is None:
+                return latent_fault
+            self._marked_ns = latent_fault.time_ns
+            return latent_fault.marked()
+        newer = pose.match_time_ns is not None and pose.match_time_ns > self._marked_ns
+        least_m2 = _MATCH_SIGMAS**2 * _larger_m2(pose)
+        if not newer or not any(part.horizontal_m2 >= least_m2 for part in latent_fault.parts):
             return latent_fault
-        assert self._before.time_ns is not None
-        newer = pose.match_time_ns is not None and pose.match_time_ns > self._before.time_ns
-        if not newer or not _MATCH_SIGMAS**2 * _larger_m2(pose) <= latent_fault.horizontal_m2:
-            return latent_fault
-        before, self._last, self._before = self._before, here, None
-        return latent_fault.corroborate(before, self._rules)
+        self._last, self._marked_ns = here, None
+        return latent_fault.corroborated(least_m2, self._rules)
 
 
 def _larger_m2(pose: Pose) -> float:

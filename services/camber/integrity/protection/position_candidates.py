@@ -12,7 +12,7 @@ by a fifth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
@@ -75,12 +75,13 @@ def confirmed_fix(
         raise ValueError(f"fix {fix.fix_id} is {judgement.verdict}, not confirmed")
     covariance = inflate_covariance(fix.covariance_enu_m2, sigma)
     odds, wrong = _if_wrong(judgement, covariance, before, rules.wrong_fix)
-    pulled = before.remaining_share(fix.time_ns, rules.wrong_fix) * before.odds
+    remaining_share = before.remaining_share(fix.time_ns, rules.wrong_fix)
+    pulled = remaining_share * before.odds
     total = 1.0 + odds + pulled
     parts = (
         MixtureComponent(weight=1.0 / total, horizontal_m2=_horizontal(covariance), up_m2=covariance[5]),
-        *road_components(wrong, odds / total, rules),
-        widened(before.part(pulled / total), covariance),
+        *(one for part in wrong for one in road_components(part, part.weight * odds / total, rules)),
+        *(widened(part, covariance) for part in before.components(remaining_share / total)),
     )
     probability = (odds + pulled) / total
     candidate = PositionCandidate(
@@ -92,7 +93,7 @@ def confirmed_fix(
         # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
         mixture=ErrorMixture(parts, probability * rules.pose_fault_prior),
         wrong=probability,
-        up_by_road_m=(wrong.mean_m[2], wrong.up_m2),
+        up_by_road_m=(wrong[0].mean_m[2], wrong[0].up_m2),
         fix_id=fix.fix_id,
     )
     after = before.after(fix.time_ns, odds, wrong, rules.wrong_fix)
@@ -148,11 +149,13 @@ def of_pose(
     parts: tuple[MixtureComponent, ...] = road_components(alone, 1.0, levels)
     wrong: float | None = None
     if rests_on_fixes(pose):
-        wrong = latent_fault.odds / (1.0 + latent_fault.odds)
-        # The height is that of the road.
-        wider = (ee + latent_fault.horizontal_m2, en, nn + latent_fault.horizontal_m2)
-        pulled = MixtureComponent(weight=wrong, horizontal_m2=wider, up_m2=alone.up_m2, is_latent=True)
-        parts = (*road_components(alone, 1.0 - wrong, levels), *road_components(pulled, wrong, levels))
+        total = 1.0 + latent_fault.odds
+        wrong = latent_fault.odds / total
+        pulled = latent_fault.components(1.0 / total)
+        parts = (
+            *road_components(alone, 1.0 - wrong, levels),
+            *(one for part in pulled for one in _with_pose(part, alone, levels)),
+        )
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
     return PositionCandidate(
@@ -165,6 +168,15 @@ def of_pose(
         wrong=wrong,
         up_by_road_m=(0.0, alone.up_m2),
     )
+
+
+def _with_pose(
+    pulled: MixtureComponent, pose: MixtureComponent, rules: LevelRules
+) -> tuple[MixtureComponent, MixtureComponent]:
+    """A pose that was pulled along, with its own errors; the height is that of the road."""
+    (ee, en, nn), (p_ee, p_en, p_nn) = pulled.horizontal_m2, pose.horizontal_m2
+    wider = replace(pulled, horizontal_m2=(ee + p_ee, en + p_en, nn + p_nn), up_m2=pose.up_m2)
+    return road_components(wider, pulled.weight, rules)
 
 
 def height_on_road(inputs: EpochInputs, correction_m: float, rules: Rules) -> tuple[float | None, float]:
@@ -189,23 +201,23 @@ def height_on_road(inputs: EpochInputs, correction_m: float, rules: Rules) -> tu
 
 def _if_wrong(
     judgement: FixJudgement, covariance: Covariance3, before: LatentFaultHypothesis, rules: WrongFixRules
-) -> tuple[float, MixtureComponent]:
-    """Odds that the fix is wrong, by itself, and how far off it is then."""
+) -> tuple[float, tuple[MixtureComponent, ...]]:
+    """Odds that the fix is wrong, by itself, and how far off it is then, by shares of one."""
     result, pose = judgement.comparison, judgement.pose
     horizontal_m2, vertical_m2 = rules.second_moment_m2
+    unknown = tuple(
+        MixtureComponent(weight=share, horizontal_m2=(east_m2, 0.0, north_m2), up_m2=vertical_m2)
+        for share, (east_m2, north_m2, _) in rules.parts
+    )
     prior_log_odds = rules.prior_log_odds(judgement.fix.satellites)
     if result is None or pose is None or pose.covariance_east_north_yaw is None:
-        unknown = MixtureComponent(
-            weight=1.0, horizontal_m2=(horizontal_m2, 0.0, horizontal_m2), up_m2=vertical_m2
-        )
         return judgement.trials * math.exp(prior_log_odds), unknown
     east_m, north_m, up_m = result.difference_m.tolist()
     (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = result.covariance_m2.tolist()
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    if is_provisional(pose) or (before.time_ns is None and rests_on_fixes(pose)):
-        # Such a pose is where the fixes are: it says nothing against them.
+    follows_fixes = is_provisional(pose) or (before.time_ns is None and rests_on_fixes(pose))
+    if follows_fixes:  # it says nothing against them
         s_ee, s_nn = s_ee + horizontal_m2, s_nn + horizontal_m2
-        ee, nn = ee + horizontal_m2, nn + horizontal_m2
     model_m2 = s_uu - covariance[5]
     if not (math.isfinite(up_m) and math.isfinite(model_m2)):
         up_m, model_m2 = 0.0, vertical_m2
@@ -224,7 +236,14 @@ def _if_wrong(
         horizontal_m2=(ee, en, nn),
         up_m2=max(model_m2, covariance[5]),
     )
-    return math.exp(min(against, _MOST_LOG_ODDS)), wrong
+    odds = math.exp(min(against, _MOST_LOG_ODDS))
+    if not follows_fixes:
+        return odds, (wrong,)
+    pose_m2 = (ee, en, 0.0, nn, 0.0, 0.0)
+    return odds, tuple(
+        replace(wrong, weight=one.weight, horizontal_m2=widened(one, pose_m2).horizontal_m2)
+        for one in unknown
+    )
 
 
 def road_components(

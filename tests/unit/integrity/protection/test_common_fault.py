@@ -15,7 +15,11 @@ from scipy.stats import multivariate_normal
 
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.protection.common_fault import with_common_fault
-from camber.integrity.protection.common_fault_probability import CommonFaultRules, common_fault_odds
+from camber.integrity.protection.common_fault_probability import (
+    CommonFaultRules,
+    common_fault_odds,
+    likelihood_ratio,
+)
 from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
 from camber.integrity.protection.position_candidates import PositionCandidate
 from camber.integrity.protection.position_output import PositionOutput
@@ -48,9 +52,9 @@ def level_m(one, sigma_m=0.1, rules=LEVELS, **changes):
 # --- the odds ----------------------------------------------------------------------------------------------------
 
 
-def odds_at(squared, sigma_m=0.2, rules=FAULTS, prior_odds=FAULTS.prior_odds):
+def odds_at(squared, sigma_m=0.2):
     m2 = sigma_m**2
-    return common_fault_odds((sigma_m * math.sqrt(squared), 0.0), (m2, 0.0, m2), prior_odds, rules)
+    return common_fault_odds((sigma_m * math.sqrt(squared), 0.0), (m2, 0.0, m2), FAULTS)
 
 
 @exactly
@@ -85,8 +89,22 @@ def test_what_is_far_off_or_no_number_is_a_fault(squared):
 
 @pytest.mark.parametrize("covariance", [(0.0, 0.0, 0.0), (math.nan, 0.0, 1.0), (1.0, 2.0, 1.0)])
 def test_without_a_covariance_everything_is_a_fault(covariance):
-    odds = common_fault_odds((0.1, 0.1), covariance, FAULTS.prior_odds, FAULTS)
+    odds = common_fault_odds((0.1, 0.1), covariance, FAULTS)
     assert min(odds.alone, odds.with_independent) > 1e6
+    assert likelihood_ratio((0.1, 0.1), covariance, (1.0, 0.0, 1.0)) > 1e12
+    assert likelihood_ratio((0.1, 0.1), (1.0, 0.0, 1.0), covariance) > 1e12
+
+
+@exactly
+@given(st.floats(-2.0, 2.0), st.floats(0.1, 2.0), st.floats(-0.9, 0.9))
+def test_the_ratio_is_that_of_two_normal_densities(east_m, sigma_m, correlation):
+    def density(ee, en, nn):
+        return multivariate_normal(cov=[[ee, en], [en, nn]]).pdf([east_m, 0.3])
+
+    wrong = (1.0 + sigma_m**2, correlation * sigma_m, 1.0 + sigma_m**2)
+    right = (sigma_m**2, 0.0, 0.5)
+    expected = min(density(*wrong) / density(*right), math.exp(30.0))
+    assert likelihood_ratio((east_m, 0.3), wrong, right) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_prior_is_the_sum_of_the_faults_and_never_a_certainty():
@@ -169,37 +187,71 @@ def with_latent(one, odds, sigma_m):
     )
 
 
+def weights_with_latent(odds, latent_sigma_m, sigma_m=0.1, source="rtk", **changes):
+    """Weights of the right part, and of the latent fault alone and with a fault of the independent position."""
+    one = with_latent(candidate(source), odds, latent_sigma_m)
+    bounded = with_common_fault(one, pose(independent=independent(sigma_m=sigma_m, **changes)), LEVELS)
+    assert sum(part.weight for part in bounded.mixture.parts) == pytest.approx(1.0)
+    alone, both = (part.weight for part in bounded.mixture.parts if part.is_latent)
+    return bounded.mixture.parts[0].weight, alone, both
+
+
+@pytest.mark.parametrize("odds", [1e-3, 1.0, 1e10])
+def test_a_latent_fault_counts_by_how_likely_it_passes_the_comparison(odds):
+    """N(d; 0, G + C) / N(d; 0, P + C) at d = 0, 0.3 m: (0.05² + 0.1²) / (1 + 0.1²) and more."""
+    right, alone, both = weights_with_latent(odds, 1.0)
+    assert alone / right == pytest.approx(odds * 0.0125 / 1.01, rel=1e-6)
+    assert both / right == pytest.approx(odds * 1e-3 * 0.0125 / 2.01, rel=1e-6)
+    right, apart, _ = weights_with_latent(odds, 1.0, east_m=0.3)
+    more = math.exp(0.5 * 0.09 * (1.0 / 0.0125 - 1.0 / 1.01))
+    assert apart / right == pytest.approx(odds * 0.0125 / 1.01 * more, rel=1e-3)
+
+
+def test_one_that_is_smaller_than_the_independent_position_shows_is_as_likely_as_before():
+    right, alone, _ = weights_with_latent(0.01, 0.05, sigma_m=1.0)
+    assert alone / right == pytest.approx(0.01, rel=1e-2)
+
+
 def test_a_latent_fault_reaches_as_far_as_the_independent_position_lets_it_however_far_it_may_be_off():
-    near, far = (level_m(with_latent(candidate(), 1e-3, sigma_m), 0.1) for sigma_m in (1.0, 10.0))
-    assert near == far
-    assert level_m(candidate(), 0.1) < near < 0.5  # 1e-7 / 2e-3 of Rayleigh's: 4.5 σ
-    assert bounds_of([with_latent(candidate(), 1e-3, 1.0).mixture], LEVELS)[0].horizontal_level_m > 4.0
+    near, far = (level_m(with_latent(candidate(), 1e-2, sigma_m), 0.1) for sigma_m in (1.0, 10.0))
+    assert near < 0.5
+    assert far < 0.5
+    assert bounds_of([with_latent(candidate(), 1e-2, 1.0).mixture], LEVELS)[0].horizontal_level_m > 4.0
 
 
-@pytest.mark.parametrize("odds", [0.0, 1e-3, 1.0, 1e13])
-def test_a_latent_fault_counts_with_its_odds_like_the_others(odds):
-    bounded = with_common_fault(
-        with_latent(candidate(), odds, 1.0), pose(independent=independent(sigma_m=0.1)), LEVELS
-    )
-    right, *others = (part.weight for part in bounded.mixture.parts)
-    assert right + sum(others) == pytest.approx(1.0)
-    assert sum(others) / right == pytest.approx(odds + FAULTS.prior_odds, rel=1e-3)
+@exactly
+@given(st.floats(0.0, 0.99), st.floats(0.05, 2.0), st.floats(0.05, 2.0))
+def test_of_positions_that_share_errors_no_correlation_makes_a_latent_fault_wider_than_stated(
+    rho, pose_m, sigma_m
+):
+    """The conditional variance of the error, of any correlation of own error and that of the independent position."""
+    g, c, r = 1.0 + pose_m**2, sigma_m**2, rho * pose_m * sigma_m
+    exactly_m2 = g - (g - r) ** 2 / (g + c - 2.0 * r)
+    one = with_latent(candidate("sensors", pose_m), 1e-3, math.sqrt(g))
+    bounded = with_common_fault(one, pose(independent=independent(sigma_m=sigma_m)), LEVELS)
+    stated_m2 = next(part for part in bounded.mixture.parts if part.is_latent).horizontal_m2[0]
+    assert stated_m2 >= exactly_m2 * (1.0 - 1e-6)
 
 
 def test_drawn_latent_faults_stay_within_the_level():
-    """A wrong fix has taken all along by N(0, 1 m²); the level is that of what was drawn."""
+    """Half of the candidates are off by N(0, 1 m²), with the pose; the level is that of what is drawn."""
     rng, seed = np.random.default_rng(2011), 2011
-    sigma_m, beyond, n = 0.1, 0, 400
-    rules = replace(LEVELS, integrity_risk=1e-2, pose_fault_prior=0.0)
+    sigma_m, beyond, n, risk = 0.3, 0, 4000, 0.02
+    faults = CommonFaultRules(
+        base_prior=0.0, drift_prior=0.0, captured_prior=0.0, map_shift_prior=0.0, independent_prior=0.0
+    )
+    rules = replace(LEVELS, integrity_risk=risk, common_fault=faults, horizontal_margin=1.0)
     for _ in range(n):
-        (east_m, north_m), off = rng.normal(0.0, 1.0, 2), rng.normal(0.0, sigma_m, 2)
-        one = with_latent(candidate("rtk", 0.05, east_m, north_m), 0.5, 1.0)
+        wrong = rng.random() < 0.5
+        east_m, north_m = rng.normal(0.0, 1.0 if wrong else 0.05, 2)
+        off = rng.normal(0.0, sigma_m, 2)
+        one = with_latent(candidate("rtk", 0.05, east_m, north_m), 1.0, 1.0)
         bounded = with_common_fault(
             one, pose(independent=independent(sigma_m=sigma_m, east_m=off[0], north_m=off[1])), rules
         )
         beyond += bounds_of([bounded.mixture], rules)[0].horizontal_level_m < math.hypot(east_m, north_m)
-    # 400 draws at a share of at most 2e-2, were all of them faulted: 8 expected, 17 at three σ.
-    assert beyond <= 17, f"seed {seed}: {beyond} of {n}"
+    # 80 expected at most, 107 at three σ.
+    assert beyond <= 107, f"seed {seed}: {beyond} of {n}"
 
 
 def test_an_independent_position_that_may_be_wrong_too_widens_the_level_where_it_is_wide():

@@ -11,8 +11,12 @@ from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
-from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
-from camber.integrity.protection.position_bounds import LevelRules, bounds_of
+from camber.integrity.protection.latent_fault import (
+    LatentFaultHypothesis,
+    LatentFaultPart,
+    MatchCorroboration,
+)
+from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent, bounds_of
 from camber.integrity.protection.position_candidates import confirmed_fix
 from camber.integrity.protection.position_candidates import of_pose as candidate_of_pose
 from camber.integrity.protection.position_output import PositionOutput
@@ -271,10 +275,17 @@ def matched(k, **changes):
     return pose(k, **{"mode": "scan_match", "match_time_ns": at(k), "anchor_time_ns": at(k), **changes})
 
 
+def off_by_a_metre(time_ns, odds):
+    """A latent fault of these odds and a metre."""
+    return LatentFaultHypothesis(
+        time_ns=time_ns, parts=(LatentFaultPart(odds=odds, horizontal_m2=1.0, up_m2=1.0),)
+    )
+
+
 def latest(poses, start=None, levels=LEVELS):
     """What is left of a latent fault of even odds after poses."""
     latent_fault, places = (
-        start or LatentFaultHypothesis(time_ns=at(0), odds=1.0, horizontal_m2=1.0, up_m2=1.0),
+        start or off_by_a_metre(at(0), 1.0),
         MatchCorroboration(levels),
     )
     for the_pose in poses:
@@ -311,17 +322,16 @@ def test_of_fixes_that_are_not_known_here_no_match_knows_the_time():
 
 
 def test_what_a_match_refutes_is_what_was_suspected_before_it():
-    places, old, new = (
-        MatchCorroboration(LEVELS),
-        LatentFaultHypothesis(time_ns=at(0), odds=1.0, horizontal_m2=1.0, up_m2=1.0),
-        LatentFaultHypothesis(time_ns=at(400), odds=0.5, horizontal_m2=1.0, up_m2=1.0),
-    )
+    places, old = MatchCorroboration(LEVELS), off_by_a_metre(at(0), 1.0)
     places.update(matched(0), old)
-    assert places.update(matched(400), old) == old
+    marked = places.update(matched(400), old)
+    assert marked.odds == old.odds
     left = old.remaining_share(at(400), LEVELS.wrong_fix)
-    grown = replace(new, odds=new.odds + left)
+    a_metre = MixtureComponent(weight=1.0, horizontal_m2=(1.0, 0.0, 1.0), up_m2=1.0)
+    grown = marked.after(at(400), 0.5, [a_metre], LEVELS.wrong_fix)
+    assert grown.odds == pytest.approx(left + 0.5 * (1.0 - left))
     result = places.update(matched(401), grown)
-    assert result.odds == pytest.approx(new.odds + LEVELS.false_match_prior * left)
+    assert result.odds == pytest.approx(grown.odds - (1.0 - LEVELS.false_match_prior) * left)
 
 
 def test_a_drive_that_began_with_fixes_alone_is_usable_once_matches_have_borne_it_out():
@@ -491,11 +501,11 @@ def test_where_a_wrong_fix_would_stand_on_a_changed_road_the_level_of_a_fix_hold
             judged(pose(**MATCHED)), before, levels, RULES.true_sigma
         ).candidate.mixture.parts
 
-    right, wrong, and_changed, pulled = parts(0.01)
+    right, wrong, and_changed = parts(0.01)
     assert and_changed.weight == pytest.approx(wrong.weight * 0.01 / 0.99)
     assert (and_changed.mean_m, and_changed.horizontal_m2) == (wrong.mean_m, wrong.horizontal_m2)
     assert and_changed.up_m2 == pytest.approx(wrong.up_m2 + 0.2**2)
-    assert (right, pulled) == (parts(0.0)[0], parts(0.0)[-1])
+    assert right == parts(0.0)[0]
 
 
 def test_on_a_slope_the_height_shares_the_error_of_the_place():

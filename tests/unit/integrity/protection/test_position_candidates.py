@@ -10,7 +10,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.pose_provenance import rests_on_fixes
 from camber.integrity.protection.doppler_position import Displacement
-from camber.integrity.protection.latent_fault import LatentFaultHypothesis
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis, LatentFaultPart
 from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent
 from camber.integrity.protection.position_candidates import (
     PositionCandidate,
@@ -71,7 +71,7 @@ def weights(candidate):
 def test_a_fix_is_where_it_says_unless_it_is_wrong_and_then_the_vehicle_is_where_road_and_pose_say():
     judgement = judged(east_m=0.05, up_m=0.04)
     result = by_fix(judgement).candidate
-    right, wrong, wrong_on_a_changed_road, pulled = result.mixture.parts
+    right, wrong, wrong_on_a_changed_road = result.mixture.parts  # nothing was confirmed before
     assert (result.source, result.time_ns, result.fix_id) == ("rtk", at(0), fix().fix_id)
     assert result.geodetic == (
         judgement.fix.latitude_rad,
@@ -91,7 +91,6 @@ def test_a_fix_is_where_it_says_unless_it_is_wrong_and_then_the_vehicle_is_where
     assert wrong_on_a_changed_road.mean_m == wrong.mean_m
     assert wrong_on_a_changed_road.up_m2 == pytest.approx(wrong.up_m2 + LEVELS.changed_road_sigma_m**2)
     assert wrong_on_a_changed_road.weight == pytest.approx(CHANGED / (1.0 - CHANGED) * wrong.weight)
-    assert pulled.weight == 0.0  # nothing was confirmed before
 
 
 def test_if_a_fix_is_wrong_the_height_is_that_of_road_and_antenna_but_no_surer_than_the_fix_had_it():
@@ -135,33 +134,31 @@ def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is
 def test_a_latent_fault_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
     """Nothing was suspected before: what is suspected then is what the fix may be."""
     wrong = MixtureComponent(weight=1.0, mean_m=mean_m, horizontal_m2=(0.04, 0.0, 0.09), up_m2=0.25)
-    result = LatentFaultHypothesis(time_ns=at(0), odds=0.0, horizontal_m2=1.0, up_m2=1.0).after(
-        at(1), 0.5, wrong, LEVELS.wrong_fix
-    )
-    assert (result.horizontal_m2, result.up_m2) == pytest.approx((horizontal_m2, 4.25))
-    unsuspected = LatentFaultHypothesis(time_ns=at(0), odds=0.0, horizontal_m2=1.0, up_m2=1.0).after(
-        at(1), 0.0, wrong, LEVELS.wrong_fix
-    )
-    assert (unsuspected.odds, unsuspected.horizontal_m2, unsuspected.up_m2) == (0.0, 1.0, 1.0)
+    nothing = LatentFaultHypothesis(time_ns=at(0), parts=())
+    (result,) = nothing.after(at(1), 0.5, [wrong], LEVELS.wrong_fix).parts
+    assert horizontal_m2 <= result.horizontal_m2 == 16.0  # the next power of two
+    assert result.up_m2 == pytest.approx(4.25)
+    assert nothing.after(at(1), 0.0, [wrong], LEVELS.wrong_fix).parts == ()
 
 
 def test_of_a_fix_that_was_compared_with_nothing_only_its_prior_is_known():
     result = by_fix(replace(judged(), comparison=None)).candidate
-    horizontal_m2, up_m2 = LEVELS.wrong_fix.second_moment_m2
-    wrong = result.mixture.parts[1]
-    assert (wrong.mean_m, wrong.horizontal_m2) == (NO_OFFSET, (horizontal_m2, 0.0, horizontal_m2))
-    assert wrong.up_m2 == pytest.approx(up_m2)
+    _, near, _, far, _ = result.mixture.parts
+    assert (near.mean_m, near.horizontal_m2) == (NO_OFFSET, (1.0, 0.0, 1.0))
+    assert (far.mean_m, far.horizontal_m2) == (NO_OFFSET, (100.0, 0.0, 100.0))
+    assert near.weight / far.weight == pytest.approx(0.7 / 0.3)
+    assert near.up_m2 == far.up_m2 == pytest.approx(LEVELS.wrong_fix.second_moment_m2[1])
 
 
 def test_an_earlier_fault_hypothesis_fades_and_counts_for_the_next_fix():
     first = by_fix(judged()).latent_fault
     second = by_fix(judged(), replace(first, time_ns=at(0) - 10_000_000_000)).candidate
     pulled = second.mixture.parts[-1]
-    right = second.mixture.parts[0]
+    right, (only,) = second.mixture.parts[0], first.parts
     assert pulled.weight / right.weight == pytest.approx(first.odds * math.exp(-1.0))
     ee, _, _, nn, _, uu = second.covariance_enu_m2
-    assert pulled.horizontal_m2 == pytest.approx((first.horizontal_m2 + ee, 0.0, first.horizontal_m2 + nn))
-    assert pulled.up_m2 == pytest.approx(first.up_m2 + uu)
+    assert pulled.horizontal_m2 == pytest.approx((only.horizontal_m2 + ee, 0.0, only.horizontal_m2 + nn))
+    assert pulled.up_m2 == pytest.approx(only.up_m2 + uu)
     assert pulled.mean_m == NO_OFFSET
     assert sum(weights(second)) == pytest.approx(1.0)
 
@@ -273,7 +270,8 @@ def test_a_pose_that_rests_on_no_fix_has_the_components_of_its_covariance_and_of
 
 
 def test_one_that_does_may_have_been_pulled_along_but_its_height_is_that_of_the_road():
-    latent_fault = LatentFaultHypothesis(time_ns=at(-1), odds=0.25, horizontal_m2=4.0, up_m2=9.0)
+    part = LatentFaultPart(odds=0.25, horizontal_m2=4.0, up_m2=9.0)
+    latent_fault = LatentFaultHypothesis(time_ns=at(-1), parts=(part,))
     result = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), latent_fault)
     alone, _, pulled, _ = result.mixture.parts
     assert result.source == "sensors"

@@ -1,0 +1,92 @@
+"""A wrong fix that may have passed: few wide ones are kept beside many narrow ones, and what is kept is never less."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
+from camber.integrity.protection.position_bounds import (
+    ErrorMixture,
+    LevelRules,
+    MixtureComponent,
+    bounds_of,
+)
+from support.judging import at, pose
+
+LEVELS = LevelRules()
+RULES = LEVELS.wrong_fix
+NOTHING = LatentFaultHypothesis(time_ns=at(0), parts=())
+exactly = settings(derandomize=True, deadline=None)
+
+
+def off(sigma_m, weight=1.0):
+    return MixtureComponent(weight=weight, horizontal_m2=(sigma_m**2, 0.0, sigma_m**2), up_m2=0.01)
+
+
+def level_m(latent_fault):
+    right = MixtureComponent(weight=1.0, horizontal_m2=(0.0025, 0.0, 0.0025), up_m2=0.01)
+    mixture = ErrorMixture((right, *latent_fault.components(1.0)))
+    return bounds_of([mixture], LEVELS)[0].horizontal_level_m
+
+
+def test_narrow_faults_do_not_hide_a_wide_one_however_many_they_are():
+    """Of a start with a pose of 1 m, a minute ago, 1e-5 is left; since then fixes under a pose of 5 cm."""
+    latent_fault = NOTHING.after(at(10), 2e-2, [off(1.0)], RULES)
+    wide = latent_fault.odds
+    for k in range(11, 310):
+        latent_fault = latent_fault.after(at(k), 3e-4, [off(0.05)], RULES)
+    left = wide * math.exp(-(at(309) - at(10)) / 1e9 / RULES.episode_s)
+    assert 1e-7 < left < 1e-4
+    needed_m = math.sqrt(-2.0 * math.log(LEVELS.integrity_risk / left))
+    assert level_m(latent_fault) >= needed_m
+    mean_m2 = sum(part.odds * part.horizontal_m2 for part in latent_fault.parts) / latent_fault.odds
+    hidden = ErrorMixture((off(0.05), off(math.sqrt(mean_m2), latent_fault.odds)))
+    assert bounds_of([hidden], LEVELS)[0].horizontal_level_m < needed_m, "one variance for all is too small"
+
+
+@exactly
+@given(st.lists(st.tuples(st.floats(1e-9, 0.5), st.floats(0.02, 20.0)), min_size=1, max_size=12))
+def test_no_tail_of_the_classes_is_smaller_than_that_of_the_faults_themselves(faults):
+    latent_fault, true, time_ns = NOTHING, [], 0
+    for k, (odds, sigma_m) in enumerate(faults):
+        time_ns, share = at(20 * k + 20), math.exp(-(at(20) - at(0)) / 1e9 / RULES.episode_s)
+        latent_fault = latent_fault.after(time_ns, odds, [off(sigma_m)], RULES)
+        true = [(share * odds, sigma) for odds, sigma in true] + [((1.0 - share) * odds, sigma_m)]
+
+    def tail(parts, beyond_m):
+        return sum(odds * math.exp(-0.5 * beyond_m**2 / m2) for odds, m2 in parts)
+
+    kept = [(part.odds, part.horizontal_m2) for part in latent_fault.parts]
+    for beyond_m in np.geomspace(0.05, 50.0, 20).tolist():
+        assert (
+            tail(kept, beyond_m) >= tail([(odds, s * s) for odds, s in true], beyond_m) * (1 - 1e-9) - 1e-13
+        )
+    assert latent_fault.odds == pytest.approx(sum(odds for odds, _ in true))
+
+
+def test_the_classes_of_a_minute_are_few():
+    rng, latent_fault = np.random.default_rng(1), NOTHING
+    for k in range(1, 600):
+        latent_fault = latent_fault.after(at(k), 1e-3, [off(s) for s in rng.uniform(0.02, 3.0, 2)], RULES)
+    assert len(latent_fault.parts) <= 13
+
+
+def test_a_match_refutes_what_is_wide_compared_with_it_and_says_nothing_of_the_rest():
+    latent_fault = NOTHING.after(at(10), 0.5, [off(4.0, 0.5), off(0.25, 0.5)], RULES)
+    places = MatchCorroboration(LEVELS)
+    wide, narrow = latent_fault.parts
+    for k in (0, 40, 41):
+        the_pose = pose(k, mode="scan_match", match_time_ns=at(k), sigma_m=0.2)
+        latent_fault = places.update(the_pose, latent_fault)
+    after_wide, after_narrow = latent_fault.parts
+    assert after_wide.odds == pytest.approx(LEVELS.false_match_prior * wide.odds)
+    assert after_narrow.odds == narrow.odds
+
+
+def test_at_first_fixes_that_are_not_known_may_be_near_or_far():
+    far, near = LatentFaultHypothesis.initial(RULES).parts
+    assert (far.horizontal_m2, near.horizontal_m2) == (128.0, 1.0)
+    assert far.odds / near.odds == pytest.approx(0.3 / 0.7)
