@@ -16,10 +16,11 @@ from support.running import MACHINE, camber, camber_started, loopback_router, py
 
 OTHER_PROGRAM = """
 import json, sys
+from datetime import UTC, datetime
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-counts, protobuf = {}, set()
+counts, protobuf, dates = {}, set(), set()
 with open(sys.argv[1], "rb") as stream:
     reader = make_reader(stream, decoder_factories=[DecoderFactory()])
     for schema, channel, message in reader.iter_messages():
@@ -31,6 +32,7 @@ with open(sys.argv[1], "rb") as stream:
             assert fields["time_ns"] + 315_964_782_000_000_000 == message.log_time, channel.topic
         else:
             protobuf.add(channel.topic)
+        dates.add(datetime.fromtimestamp(message.log_time / 1e9, UTC).date().isoformat())
         counts[channel.topic] = counts.get(channel.topic, 0) + 1
 with open(sys.argv[1], "rb") as stream:
     reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -41,7 +43,7 @@ with open(sys.argv[1], "rb") as stream:
         else:
             assert at.seconds * 10**9 + at.nanos == message.log_time, channel.topic
 assert not [name for name in sys.modules if name.startswith("camber")]
-print(json.dumps(counts))
+print(json.dumps([counts, sorted(dates)]))
 """
 
 
@@ -62,7 +64,8 @@ def endpoint() -> Iterator[str]:
 def test_a_program_without_camber_reads_every_message_at_its_date(replayed: Path) -> None:
     done = python("-c", OTHER_PROGRAM, replayed / "recording.mcap", timeout_s=120.0)
     assert done.returncode == 0, done.stderr
-    counts = json.loads(done.stdout)
+    counts, dates = json.loads(done.stdout)
+    assert dates == ["2024-05-17"]
     lists, errors = load_recording(replayed / "recording.mcap")
     assert errors == []
     ours = {"/gnss/fix": "fix", "/integrity/verdict": "verdict", "/integrity/position": "position"}
@@ -71,7 +74,13 @@ def test_a_program_without_camber_reads_every_message_at_its_date(replayed: Path
     assert counts["/integrity/verdict/location"] == sum(
         item.message.fix_id is not None for item in lists["verdict"]
     )
-    assert {"/integrity/position/track", "/integrity/position/levels", "/log", "/transforms"} <= set(counts)
+    assert {
+        "/integrity/position/track",
+        "/integrity/position/levels",
+        "/log",
+        "/transforms",
+        "/map/roads",
+    } <= set(counts)
 
 
 def test_played_and_recorded_again_verdicts_are_the_same_bytes_and_figures_the_same(

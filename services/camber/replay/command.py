@@ -22,6 +22,7 @@ from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
+from camber.road_map.release import read_release
 from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
@@ -68,6 +69,8 @@ def replay(
         RunRecorder(folder, manifest, tick_times_ns[0]) as recorder,
         _interruptible(),
     ):
+        if inputs.map_release is not None:
+            recorder.draw_roads(read_release(inputs.map_release).road_links())
         if processes:
             from camber.replay.lock_step.drive import replay_through_processes
 

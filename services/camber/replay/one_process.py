@@ -179,6 +179,8 @@ class _Vehicle:
 
     def report(self, service: str, time_ns: int, code: str, text: str) -> None:
         self.issues.append(ReportedIssue(time_ns=time_ns, service=service, code=code, text=text))
+        if self._recorder is not None:
+            self._recorder.add_issue(time_ns, service, f"{code}: {text}")
 
     def _feed(self, messages: Iterable[tuple[str, Message]]) -> None:
         for name, message in messages:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from importlib.metadata import version
 from typing import Any, Self
 
 from camber.formats.drive.recorder import Recorder
+from camber.formats.foxglove.drawings import log
 from camber.replay.run_folder import RunFolder
+from camber.road_map.road_columns import RoadLinks
+from camber.road_map.road_drawing import draw_roads
 from camber.schemas.channels import CHANNELS
 from camber.schemas.codec import Received, encode
 from camber.schemas.drive import DriveManifest
 
 # Longer than a feeder runs ahead (4 ticks) and than a fix is late, so that the recording is in the order of time.
 _LAG_NS = 5_000_000_000
+_REPEATED_ISSUE_NS = 10_000_000_000  # chosen: as in the services' own logs
 
 
 class RunRecorder:
@@ -32,7 +37,8 @@ class RunRecorder:
             channel.name: channel.key_for(vehicle) for channel in CHANNELS if channel.delivery != "bulk"
         }
         self._channels = {key: name for name, key in self._keys.items()}
-        self._written_ns = start_ns
+        self._start_ns = self._written_ns = start_ns
+        self._issues_ns: dict[tuple[str, str], int] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -56,6 +62,19 @@ class RunRecorder:
         if channel in self._keys:
             data = encode(received.message, source=received.source, sequence=received.sequence)
             self._recorder.add(channel, data, key=self._keys[channel], arrival_ns=arrival_ns)
+
+    def draw_roads(self, links: RoadLinks) -> None:
+        """Record the roads of the map, as viewers draw them."""
+        self._recorder.draw(draw_roads(links), time_ns=self._written_ns, arrival_ns=time.time_ns())
+
+    def add_issue(self, time_ns: int, service: str, text: str) -> None:
+        """Record an issue of a service in the log that viewers show; the same one at most once in a while."""
+        time_ns = max(time_ns, self._start_ns)  # before the first tick a service has no time
+        last_ns = self._issues_ns.get((service, text))
+        if last_ns is None or time_ns - last_ns >= _REPEATED_ISSUE_NS:
+            self._issues_ns[service, text] = time_ns
+            line = log(time_ns, service, text, warning=True)
+            self._recorder.draw(line, time_ns=time_ns, arrival_ns=time.time_ns())
 
     def tick_done(self, time_ns: int) -> None:
         """Write what was measured long enough before a tick, now and then."""

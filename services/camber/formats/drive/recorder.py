@@ -18,7 +18,9 @@ from camber.formats.drive.recording import (
     MESSAGE_CLASSES,
     PROFILE,
 )
-from camber.formats.drive.viewer_messages import ViewerChannel, ViewerMessage, ViewerMessages
+from camber.formats.drive.viewer_messages import ViewerChannel, ViewerMessage, ViewerMessages, viewer_message
+from camber.formats.foxglove.drawings import Drawing
+from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.schemas.channels import CHANNELS
 from camber.schemas.codec import DecodeError
 
@@ -100,6 +102,15 @@ class Recorder:
                 self._pending.append(
                     (time_ns, _ORDER[channel], key, sequence, payload, arrival_ns, schema, channel)
                 )
+
+    def draw(self, drawing: Drawing, *, time_ns: int, arrival_ns: int) -> None:
+        """Write a drawing of something that is no message: roads, an issue."""
+        if self.problem is not None:
+            return
+        try:
+            self._add(viewer_message(drawing, unix_ns_from_gps_ns(time_ns)), arrival_ns)
+        except OSError as error:
+            self._stop(error)
 
     def tick_done(self, up_to_ns: int | None = None) -> None:
         """Write what was measured up to a time (None: all), in an order that does not depend on arrival."""
