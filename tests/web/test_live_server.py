@@ -1,4 +1,4 @@
-"""The live page's server: browsers that stall, a flood of messages, a clock that jumps, strangers."""
+"""The live page's server: browsers that stall, a flood of messages, a clock that jumps, and who has no token."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_a_flood_is_counted_and_what_comes_after_it_is_shown() -> None:
         browser.read_until(lambda it: it.generation == 1, "the history does not begin anew")
 
 
-def test_a_stranger_does_not_get_the_stream(recording: Path) -> None:
+def test_without_the_token_there_is_no_stream(recording: Path) -> None:
     with serving(recording, "--host", "0.0.0.0", "--token", "0123456789abcdef") as (address, _):
         stream = address.replace("0.0.0.0", "127.0.0.1").replace("?token=0123456789abcdefstream", "stream")
         with pytest.raises(InvalidStatus), connect(stream):

@@ -2,6 +2,7 @@
 
     camber live                     the vehicle on the bus
     camber live out/demo            a run of `camber replay` or `camber demo`, with its truth and its map
+    camber live --fleet             all vehicles on the bus, and the services of the cloud
     camber live drive.mcap          a recording of `camber record`; --map gives it a map
 
 The page is for browsers on this machine. Another address is served only with --token, and over TLS where a certificate
@@ -30,11 +31,14 @@ from camber.live.rows import LAYOUTS, RowWriter
 from camber.live.server import LiveState, application
 from camber.live.sources import BusSource, RecordingSource
 from camber.road_map.release import ReleaseError, open_release
+from camber.schemas.channels import SERVICES, VEHICLE_SERVICES
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import whole_from
 from camber.tools.options.parsers import add_with_default, tool_parser
 
 _PROG = "camber live"
+FLEET = "fleet"
+"""The cloud's name where a vehicle's stands, as for `camber status`."""
 _PORT = 8080  # chosen: what people type
 _TOKEN_VARIABLE = "CAMBER_LIVE_TOKEN"
 _LEAST_TOKEN = 16
@@ -81,6 +85,8 @@ def main(argv: Sequence[str]) -> int:
 
 def _state(args: argparse.Namespace) -> LiveState:
     """The source and what goes with it. Raises FormatError, OSError."""
+    if args.fleet:
+        return _fleet(args)
     if args.path is None:
         return _bus(args)
     return _run_folder(args) if args.path.is_dir() else _recording(args)
@@ -99,6 +105,21 @@ def _bus(args: argparse.Namespace) -> LiveState:
         source=BusSource(settings, RowWriter(history)),
         tiles=tiles,
         health=HealthWatch(settings),
+        raster=args.raster,
+    )
+
+
+def _fleet(args: argparse.Namespace) -> LiveState:
+    from camber.live.fleet import FleetSource
+    from camber.live.health_watch import HealthWatch
+
+    settings = bus_settings(args, prog=_PROG, vehicle=FLEET)
+    return LiveState(
+        title=FLEET,
+        history=History(LAYOUTS, 1),
+        source=FleetSource(settings),
+        tiles=None if args.map is None else _tiles(args.map),
+        health=HealthWatch(settings, [name for name in SERVICES if name not in VEHICLE_SERVICES]),
         raster=args.raster,
     )
 
@@ -151,6 +172,8 @@ def _check(args: argparse.Namespace, token: str | None) -> None:
         raise ValueError(f"--host {args.host}: others can reach this address, so --token is needed")
     if token is not None and len(token) < _LEAST_TOKEN:
         raise ValueError(f"--token: expected at least {_LEAST_TOKEN} characters")
+    if args.fleet and (args.path is not None or args.vehicle is not None):
+        raise ValueError("--fleet: expected neither a file nor --vehicle with it")
     if (args.certificate is None) != (args.key is None):
         raise ValueError("--certificate and --key: expected both or none")
     if args.raster is not None and urlsplit(args.raster).scheme not in ("http", "https"):
@@ -207,6 +230,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR|FILE",
         help="folder of a run, or a recording (default: the bus)",
     )
+    add("--fleet", action="store_true", help="all vehicles on the bus")
     add("--vehicle", metavar="V", help="name of the vehicle on the bus (default: that of --config)")
     add_bus_options(parser)
     add(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 from camber.runtime.clock import SystemClock
@@ -18,14 +19,14 @@ _NO_SERVICES = frozenset({FEEDER, "vehicle", "player"})  # they have a livelines
 
 
 class HealthWatch:
-    """The newest view of all services, as `camber status` makes it."""
+    """The newest view of all services, as `camber status` makes it; `usual` are those that are expected."""
 
-    def __init__(self, settings: ServiceSettings) -> None:
+    def __init__(self, settings: ServiceSettings, usual: Sequence[str] = VEHICLE_SERVICES) -> None:
         self.number = 0
         self.view: dict[str, Any] | None = None
         """As JSON: services, channels, notes; None before the first answer."""
         self.vehicles: list[str] = []
-        self._settings = settings
+        self._settings, self._usual = settings, tuple(usual)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="health", daemon=True)
 
@@ -54,7 +55,7 @@ class HealthWatch:
             everyone = client.alive()
             self.vehicles = sorted(everyone)
             alive = everyone.get(vehicle, frozenset())
-            services = (*VEHICLE_SERVICES, *sorted(alive - set(VEHICLE_SERVICES) - _NO_SERVICES))
+            services = (*self._usual, *sorted(alive - set(self._usual) - _NO_SERVICES))
             request = HealthRequest(time_ns=SystemClock().now_ns())
             answers = client.ask("health", request, vehicle, services)
             self._show(view_of(vehicle, answers, before, alive).as_json())

@@ -24,6 +24,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from camber.live.access import Guard
+from camber.live.fleet import FleetSource
 from camber.live.health_watch import HealthWatch
 from camber.live.history import Cursor, History, columns_of
 from camber.live.map_tiles import MapTiles
@@ -48,7 +49,7 @@ class LiveState:
 
     title: str
     history: History
-    source: Source
+    source: Source | FleetSource
     tiles: MapTiles | None = None
     map_problem: str = ""
     health: HealthWatch | None = None
@@ -86,6 +87,13 @@ class LiveState:
             "health": None if self.health is None else self.health.view,
             "vehicles": [] if self.health is None else self.health.vehicles,
         }
+
+    def fleet(self, number: int) -> tuple[str | None, int]:
+        """All vehicles, as JSON, where something has come since this number; and the number now."""
+        if not isinstance(self.source, FleetSource) or self.source.number == number:
+            return None, number
+        number = self.source.number
+        return json.dumps({"kind": "fleet", "vehicles": self.source.vehicles()}), number
 
     def batch(self, cursor: Cursor) -> tuple[bytes | None, Cursor]:
         """As `History.batch`; browsers at the same place share one."""
@@ -162,11 +170,14 @@ async def _serve(state: LiveState, websocket: WebSocket) -> None:
 
 
 async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None]) -> None:
-    cursor, status = state.history.start(), ""
+    cursor, status, number = state.history.start(), "", -1
     while not ended.done():
         data, cursor = state.batch(cursor)
         if data is not None:
             await websocket.send_bytes(data)
+        fleet, number = state.fleet(number)
+        if fleet is not None:
+            await websocket.send_text(fleet)
         newest = json.dumps(state.status())
         if newest != status:
             status = newest

@@ -30,7 +30,7 @@ class CamberBar extends HTMLElement {
     this.spans = element("select", { title: "how long a time is shown", onchange: event => { view.span = Number(event.target.value); view.change(); } });
     this.append(
       element("span", { class: "name" }, "Camber ", this.heading), this.chip, this.time, element("span", { class: "spacer" }),
-      element("span", { class: "group" }, this.play, button("−10 min", "back ten minutes (b)", () => view.move(-600)), button("newest", "to the newest (End)", () => view.newest()), this.spans),
+      element("span", { class: "group play" }, this.play, button("−10 min", "back ten minutes (b)", () => view.move(-600)), button("newest", "to the newest (End)", () => view.newest()), this.spans),
       element("span", { class: "group" }, button("PNG", "save the visible range as a picture", actions.picture, "wide"), button("CSV", "save the visible range as a table", actions.table, "wide"),
         button("light/dark", "light or dark (t)", actions.theme), button("?", "keys (?)", actions.help)),
     );
@@ -63,6 +63,7 @@ class CamberBar extends HTMLElement {
       return known[status?.state] ?? (this.view.running ? ["recording, playing", "good"] : ["recording", ""]);
     }
     if (status?.state !== "receiving") return ["waiting for the bus", "warn"];
+    if (greeting.mode === "fleet") return ["live", "good"];
     if (!this.view.running) return ["paused", "warn"];
     const silent = Date.now() / 1000 - (this.store.arrived ?? 0);
     return silent < 3 ? ["live", "good"] : ["no messages", "bad"];

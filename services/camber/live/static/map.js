@@ -31,6 +31,15 @@ export class CamberMap extends HTMLElement {
     view.addEventListener("hover", () => this.mark());
     view.addEventListener("selection", () => this.mark());
     view.addEventListener("theme", () => this.paint());
+    store.addEventListener("fleet", () => this.refreshFleet());
+  }
+
+  refreshFleet() {
+    if (!this.ready) return;
+    if (!this.placed && this.store.fleet.some(vehicle => Number.isFinite(vehicle.lat))) { this.placed = true; this.fit(); }
+    const chosen = this.view.follow && this.store.fleet.find(vehicle => vehicle.vehicle === this.view.vehicle);
+    if (chosen && Number.isFinite(chosen.lat)) this.map.jumpTo({ center: [chosen.lon, chosen.lat] });
+    this.map.triggerRepaint();
   }
 
   makeTools() {
@@ -57,7 +66,7 @@ export class CamberMap extends HTMLElement {
     });
     map.addControl(new maplibregl.NavigationControl({ visualizePitch: false }), "top-right");
     map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-left");
-    map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); });
+    map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); this.refreshFleet(); });
     map.on("moveend", event => {
       const centre = map.getCenter();
       this.view.place = [+map.getZoom().toFixed(2), +centre.lat.toFixed(7), +centre.lng.toFixed(7), +map.getBearing().toFixed(1)];
@@ -69,7 +78,10 @@ export class CamberMap extends HTMLElement {
     map.on("click", event => { const time = this.timeAt(event.point); if (Number.isFinite(time)) this.view.select(time); });
     // Tiles that cannot be read are named among the notes; the map goes on without them.
     map.on("error", event => { if (!/AJAXError|tile/i.test(event.error?.message ?? "")) this.problem = event.error?.message; });
-    map.on("render", () => { if (this.now) this.overlay.draw(map, this.now, this.marked()); });
+    map.on("render", () => {
+      if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store.fleet, this.view.vehicle);
+      else if (this.now) this.overlay.draw(map, this.now, this.marked());
+    });
   }
 
   style() {
@@ -156,6 +168,7 @@ export class CamberMap extends HTMLElement {
 
   fit() {
     const { lat, lon } = this.store.tables.verdict.arrays, bounds = new maplibregl.LngLatBounds();
+    for (const vehicle of this.store.fleet) if (Number.isFinite(vehicle.lat)) bounds.extend([vehicle.lon, vehicle.lat]);
     const table = this.store.tables.verdict, step = Math.max(1, Math.floor(table.length / 5000));
     for (let k = 0; k < table.length; k += step) if (Number.isFinite(lat[k])) bounds.extend([lon[k], lat[k]]);
     if (!bounds.isEmpty()) this.map?.fitBounds(bounds, { padding: 60, maxZoom: 19, animate: false });
@@ -195,13 +208,15 @@ export class CamberMap extends HTMLElement {
   }
 
   drawKey() {
+    const fleet = this.store.greeting?.mode === "fleet";
     const ramp = RAMPS[this.view.colour], line = (kind, name, text) => element("div", {}, element("i", { class: kind, style: { background: colour(name), borderColor: colour(name) } }), text);
     this.key.dataset.words = String(this.store.words.verdict);
     const gradient = `linear-gradient(90deg, ${ramp.stops.map(stop => stop[1]).join(", ")})`;
     this.key.replaceChildren(
       element("summary", {}, "key"),
-      ...(this.store.words.verdict ?? []).map(word => line("dot", VERDICT_COLOURS[word], plain(word))),
-      line("ring", "level", "protection level"), line("ring", "confirmed", "99 % ellipse"), line("ring", "pose", "prior pose, 99 %"),
+      ...(fleet ? [line("dot", "good", "position usable"), line("dot", "bad", "not usable"), line("dot", "unknown", "silent")]
+        : (this.store.words.verdict ?? []).map(word => line("dot", VERDICT_COLOURS[word], plain(word)))),
+      line("ring", "level", "protection level"), ...(fleet ? [] : [line("ring", "confirmed", "99 % ellipse"), line("ring", "pose", "prior pose, 99 %")]),
       ...(this.store.greeting?.map ? [element("div", {}, `${ramp.title}`), element("div", {}, ramp.ends[0], element("i", { class: "ramp", style: { background: gradient } }), ramp.ends[1])] : []),
     );
   }

@@ -29,10 +29,17 @@ export function stateAt(store, time) {
   return state;
 }
 
+const SILENT_S = 5;
+
+export function fleetColour({ t, usable }) {
+  if (!Number.isFinite(t) || Date.now() / 1000 - t > SILENT_S) return "unknown";
+  return usable ? "good" : "bad";
+}
+
 export class Overlay {
   constructor() { this.canvas = element("canvas", { class: "overlay" }); }
 
-  draw(map, state, marks) {
+  begin(map) {
     const { clientWidth: width, clientHeight: height } = map.getContainer(), factor = devicePixelRatio, { canvas } = this;
     if (canvas.width !== Math.round(width * factor) || canvas.height !== Math.round(height * factor)) {
       canvas.width = Math.round(width * factor);
@@ -43,6 +50,11 @@ export class Overlay {
     c.clearRect(0, 0, width, height);
     this.map = map;
     this.unit = remPx() / 14;
+    return c;
+  }
+
+  draw(map, state, marks) {
+    this.begin(map);
     for (const shape of state.shapes) this.shape(shape);
     const at = state.position && this.pixel(state.position), fix = state.fix && this.pixel(state.fix.at);
     if (at && fix && state.fix.verdict === "erroneous") this.line(at, fix, colour("erroneous"), 2.5);
@@ -50,6 +62,24 @@ export class Overlay {
     if (fix) this.ring(fix, 7.5, colour(VERDICT_COLOURS[state.fix.verdict] ?? "unknown"), 3);
     if (state.here) this.arrow(this.pixel(state.here), state.here[2]);
     for (const mark of marks) this.ring(this.pixel(mark.at), mark.kind === "hover" ? 9 : 13, colour("ink"), mark.kind === "hover" ? 2 : 3);
+  }
+
+  // Every vehicle with its name: red where its position may not be used, grey where nothing comes from it any more.
+  drawFleet(map, vehicles, selected) {
+    const c = this.begin(map);
+    c.font = `${12 * this.unit}px system-ui, sans-serif`;
+    for (const vehicle of vehicles) {
+      if (!Number.isFinite(vehicle.lat)) continue;
+      const at = this.pixel([vehicle.lon, vehicle.lat]), fill = colour(fleetColour(vehicle));
+      if (vehicle.hpl_m > 0) this.shape({ kind: "level", at: [vehicle.lon, vehicle.lat], major: vehicle.hpl_m, minor: vehicle.hpl_m, angle: 0 });
+      if (Number.isFinite(vehicle.yaw_rad)) this.arrow(at, vehicle.yaw_rad, fill); else this.ring(at, 7, colour("card"), 2, fill);
+      if (vehicle.vehicle === selected) this.ring(at, 17, colour("ink"), 3);
+      c.lineWidth = 3 * this.unit;
+      c.strokeStyle = colour("land");
+      c.strokeText(vehicle.vehicle, at.x + 14 * this.unit, at.y + 4 * this.unit);
+      c.fillStyle = colour("ink");
+      c.fillText(vehicle.vehicle, at.x + 14 * this.unit, at.y + 4 * this.unit);
+    }
   }
 
   pixel([longitude, latitude]) { return this.map.project([longitude, latitude]); }
@@ -94,7 +124,7 @@ export class Overlay {
   }
 
   // Heading is the yaw, counter-clockwise from east; where it is not known there is no arrow.
-  arrow({ x, y }, yaw) {
+  arrow({ x, y }, yaw, fill = colour("ink")) {
     if (!Number.isFinite(yaw)) return;
     const c = this.context, size = 12 * this.unit;
     c.save();
@@ -103,7 +133,7 @@ export class Overlay {
     c.beginPath();
     c.moveTo(0, -size); c.lineTo(.62 * size, .8 * size); c.lineTo(0, .42 * size); c.lineTo(-.62 * size, .8 * size);
     c.closePath();
-    c.fillStyle = colour("ink");
+    c.fillStyle = fill;
     c.fill();
     c.strokeStyle = colour("card");
     c.lineWidth = 1.8 * this.unit;

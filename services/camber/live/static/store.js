@@ -70,6 +70,7 @@ export class Store extends EventTarget {
     this.generation = 0;
     this.greeting = null;
     this.status = null;
+    this.fleet = [];
   }
 
   greet(greeting) {
@@ -119,6 +120,7 @@ export function connect(store) {
     if (typeof data !== "string") { store.take(data); return; }
     const message = JSON.parse(data);
     if (message.kind === "greeting") { store.connected = true; store.greet(message); }
+    else if (message.kind === "fleet") { store.fleet = message.vehicles; store.dispatchEvent(new Event("fleet")); }
     else { store.status = message; store.dispatchEvent(new Event("status")); }
   };
   socket.onclose = () => {
