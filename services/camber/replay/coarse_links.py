@@ -104,7 +104,7 @@ def _nodes(lines: RoadLines, run: int, met: list[int]) -> Int64:
         if np.abs(lines.distance_m[nodes] - lines.distance_m[sample]).min() > _SNAP_M:
             nodes.append(sample)
     nodes.sort()
-    for a, b in pairwise(nodes):
+    for a, b in list(pairwise(nodes)):
         length_m = lines.distance_m[b] - lines.distance_m[a]
         if length_m > LONGEST_LINK_M:
             parts = round(length_m / _SPLIT_M)

@@ -196,8 +196,21 @@ def test_links_are_within_the_deviation_of_the_track_everywhere_and_come_near_to
         assert furthest(track[::8], np.vstack(lines)) <= 3.6
 
 
-def test_links_meet_at_their_nodes_and_are_100_to_300_m_long() -> None:
-    _, links = made(drive_along(SQUARE))
+# The last street meets the first, whose parts are 900 m and 700 m long.
+LONG_STREET = [
+    (0.0, 0.0, 10.0),
+    (1600.0, 0.0, 10.0),
+    (1600.0, 200.0, 10.0),
+    (900.0, 200.0, 10.0),
+    (900.0, 3.0, 10.0),
+]
+
+
+@pytest.mark.parametrize("corners_m", [SQUARE, LONG_STREET], ids=["square", "long street"])
+def test_links_meet_at_their_nodes_and_are_100_to_300_m_long(
+    corners_m: list[tuple[float, float, float]],
+) -> None:
+    _, links = made(drive_along(corners_m))
     lines = link_lines(links)
     nodes: dict[int, Array] = {}
     for start, end, line in zip(links.start_node.tolist(), links.end_node.tolist(), lines, strict=True):
@@ -205,7 +218,7 @@ def test_links_meet_at_their_nodes_and_are_100_to_300_m_long() -> None:
             np.testing.assert_allclose(nodes.setdefault(node, place), place, atol=1e-6)
     lengths = [np.hypot(*np.diff(line, axis=0).T).sum() for line in lines]
     assert 100.0 < min(lengths) <= max(lengths) < 310.0
-    assert links.start_node[0] in links.end_node  # the square closes
+    assert links.end_node[-1] in links.start_node  # the last street ends at the first
 
 
 def test_ids_do_not_depend_on_the_seed_and_equal_seeds_give_equal_maps() -> None:
