@@ -80,7 +80,7 @@ class _Run:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Base:
+class _Carried:
     """What is carried: a place seen from a fix. Time of the last confirmed fix, and odds that the place is wrong."""
 
     fix: Fix
@@ -97,7 +97,7 @@ class CarriedPosition:
 
     def __init__(self, rules: CarriedRules, sigma: TrueSigma, wrong: WrongFixRules) -> None:
         self._rules, self._sigma, self._wrong = rules, sigma, wrong
-        self._base: _Base | None = None
+        self._base: _Carried | None = None
         self._run: _Run | None = None
         self._held_back_ns = (
             0,
@@ -121,7 +121,7 @@ class CarriedPosition:
             return pose
         fix = base.fix
         east_m, north_m = east_north_between(
-            pose.latitude_rad, pose.longitude_rad, fix.latitude_rad, fix.longitude_rad, fix.height_m
+            pose.latitude_rad, pose.longitude_rad, fix.latitude_rad, fix.longitude_rad, height_m=fix.height_m
         )
         shift_m = east_m + place.metres[0], north_m + place.metres[1]
         latitude_rad, longitude_rad = place_at(
@@ -169,7 +169,7 @@ class CarriedPosition:
             if self._base is not None and self._base.fix.time_ns > self._base.confirmed_ns:
                 self._held_back_ns = self._base.confirmed_ns, fix.time_ns
             odds = self._odds_after(fix.time_ns, odds)
-            self._base = _Base(fix=fix, place=here, confirmed_ns=fix.time_ns, odds=odds)
+            self._base = _Carried(fix=fix, place=here, confirmed_ns=fix.time_ns, odds=odds)
             self._run = _Run(begun_ns=fix.time_ns, begun=here, last=fix, pose=pose)
             return
         place = self._place(fix, pose)
@@ -190,7 +190,7 @@ class CarriedPosition:
         left = math.exp(-max(time_ns - self._base.confirmed_ns, 0) / (self._wrong.episode_s * 1e9))
         return left * self._base.odds + (1.0 - left) * odds
 
-    def _trusted(self, time_ns: int) -> _Base | None:
+    def _trusted(self, time_ns: int) -> _Carried | None:
         """What is carried, where it may be used at a time."""
         base, rules = self._base, self._rules
         if base is None or not base.odds <= rules.most_odds:
@@ -213,7 +213,7 @@ class CarriedPosition:
         base = self._base
         if base is None or not 0 < fix.time_ns - base.confirmed_ns <= self._rules.longest_s * 1e9:
             return None
-        ways = []
+        places = []
         run = self._run
         driven_m = None if run is None or run.last is not base.fix else self._driven(run, fix.time_ns, pose)
         if driven_m is not None:
@@ -222,14 +222,16 @@ class CarriedPosition:
                 base.place.metres[0] + driven_m[0] - east_m,
                 base.place.metres[1] + driven_m[1] - north_m,
             )
-            ways.append(_Place(metres=metres, variance_m2=base.place.variance_m2 + self._rules.odometry_m**2))
+            places.append(
+                _Place(metres=metres, variance_m2=base.place.variance_m2 + self._rules.odometry_m**2)
+            )
         if pose.anchor_time_ns == base.confirmed_ns:
             east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
             variance_m2 = pose_sigma_m(pose) ** 2 + unsteady_m2(pose, fix.time_ns)
-            ways.append(_Place(metres=(-east_m, -north_m), variance_m2=variance_m2))
-        return min(ways, key=lambda way: way.variance_m2, default=None)
+            places.append(_Place(metres=(-east_m, -north_m), variance_m2=variance_m2))
+        return min(places, key=lambda place: place.variance_m2, default=None)
 
-    def _moved(self, base: _Base, pose: Pose) -> _Place | None:
+    def _moved(self, base: _Carried, pose: Pose) -> _Place | None:
         """The carried position at the time of a pose, seen from the fix of the base: by odometry, after a fix."""
         run = self._run
         driven_m = None if run is None or run.last is not base.fix else self._driven(run, pose.time_ns, pose)
@@ -277,7 +279,7 @@ def odds_of(result: FixComparison, rules: WrongFixRules, satellites: int | None,
 
 def _between(one: Fix, other: Fix) -> EastNorth:
     return east_north_between(
-        one.latitude_rad, one.longitude_rad, other.latitude_rad, other.longitude_rad, other.height_m
+        one.latitude_rad, one.longitude_rad, other.latitude_rad, other.longitude_rad, height_m=other.height_m
     )
 
 
