@@ -1,4 +1,4 @@
-"""A confirmed position is carried on while wrong fixes last, so that they are contradicted as on the first day."""
+"""A confirmed position is carried on while wrong fixes last, so that they are contradicted to their end."""
 
 import math
 from dataclasses import replace
@@ -211,7 +211,7 @@ def test_it_is_carried_for_two_minutes_and_no_longer():
         assert (off(carried, k)[1] < 1.0) == (k <= last)
 
 
-def test_nothing_is_carried_before_a_fix_is_confirmed_or_where_no_way_leads_on():
+def test_nothing_is_carried_before_a_fix_is_confirmed_or_where_nothing_carries_it():
     empty = CarriedPosition(RULES, SIGMA, WrongFixRules())
     empty.settle(fix(0), pose(0), None)
     assert not empty.began_elsewhere(fix(1), pose(1), LIMITS)
@@ -269,7 +269,7 @@ def test_odds_of_a_fix_without_a_tested_height_are_those_of_its_place_alone():
 
 
 class Naming(Learning):
-    """A learning that names what it is told."""
+    """A learning that names a cause that the test has set."""
 
     named = NO_OFFSET
 
