@@ -21,7 +21,7 @@ from support.running import camber_started, replayed
 pytestmark = pytest.mark.slow
 
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
-READ = "camber.store.status?.state === 'complete' && Number.isFinite(camber.view.end)"
+READ = "camber.store.complete && Number.isFinite(camber.view.end)"
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def test_a_replay_is_shown_with_its_map_and_its_truth(browser: Any, run: Path) -
         # Paused where a person stops, shared as an address, opened by another.
         page.keyboard.press("w")
         page.keyboard.press("ArrowLeft")
-        page.wait_for_timeout(600)
         end, selected = page.evaluate("[camber.view.end, camber.view.selected]")
+        shown.wait_for(f"location.hash.includes('&t={end:.2f}&at={selected:.3f}')")
         shared = watched(browser, page.url)
         shared.wait_for(READ)
         again = shared.page.evaluate("[camber.view.end, camber.view.selected]")

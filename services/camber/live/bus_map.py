@@ -11,7 +11,7 @@ from camber.road_map.tile_grid import Tile
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryClient
 from camber.runtime.settings import ServiceSettings
-from camber.schemas.road import Layer, LinkTile, SurfaceTile, TileReply, TileRequest
+from camber.schemas.road import CloudTile, Layer, LinkTile, SurfaceTile, TileReply, TileRequest
 
 _TIMEOUT_S = 2.0  # as the table of channels: a tile must come within it
 _MOST_PARTS = 256
@@ -35,6 +35,11 @@ class BusMap:
         """Links of a tile."""
         tile = self._tile("links", x, y)
         return tile if isinstance(tile, LinkTile) else None
+
+    def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
+        """Points of a tile."""
+        tile = self._tile(layer, x, y)
+        return tile if isinstance(tile, CloudTile) else None
 
     def tiles(self) -> list[Tile] | None:
         """Not known: the server answers for one tile at a time."""

@@ -17,12 +17,14 @@ from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
 from camber.road_map.release import Release
 from camber.road_map.tile_grid import Tile, tile_frame
 from camber.schemas.base import Float64, Int64
-from camber.schemas.road import ZOOM, LinkTile, SurfaceTile
+from camber.schemas.road import ZOOM, CloudTile, Layer, LinkTile, SurfaceTile
 
 SURFACE_ZOOM, LINK_ZOOM, LEAST_ZOOM = 14, 12, 6
 """Least zoom at which each is drawn. Chosen: a road of 8 m is a pixel wide at zoom 14; a tile at zoom 12
 has links of 256."""
 _CACHED = 512  # chosen: some megabytes
+_CLOUDS_CACHED = 4  # chosen: of at most 5 MB each
+_MOST_POINTS = 400_000  # of a tile; chosen: more are not distinguished on a screen
 _MILLIMETRE_DECIMALS = 3  # of σ: few different values make small tiles
 _DAY_NS = 86_400_000_000_000  # nanoseconds of a day
 
@@ -43,6 +45,9 @@ class MapSource(Protocol):
 
     def link_tile(self, x: int, y: int) -> LinkTile | None:
         """Links of a tile at `ZOOM`."""
+
+    def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
+        """Points of a tile at `ZOOM`."""
 
     def tiles(self) -> list[Tile] | None:
         """All tiles with surfaces or links; None where nobody knows."""
@@ -65,6 +70,10 @@ class ReleaseSource:
     def link_tile(self, x: int, y: int) -> LinkTile | None:
         """Links of a tile."""
         return self._release.link_tile(x, y)
+
+    def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
+        """Points of a tile."""
+        return self._release.cloud_tile(layer, x, y)
 
     def tiles(self) -> list[Tile]:
         """All tiles with surfaces or links."""
@@ -93,6 +102,7 @@ class MapTiles:
     def __init__(self, source: MapSource) -> None:
         self.source = source
         self.tile = lru_cache(maxsize=_CACHED)(self._tile)
+        self.points = lru_cache(maxsize=_CLOUDS_CACHED)(self._points)
 
     def _tile(self, zoom: int, x: int, y: int) -> bytes:
         """A tile; empty where there is no map. Raises ReleaseError."""
@@ -105,6 +115,20 @@ class MapTiles:
         if zoom >= SURFACE_ZOOM:
             layers.append(_surfaces(self.source, within, place))
         return encode_tile(layers)
+
+    def _points(self, x: int, y: int) -> bytes:
+        """Points of the environment in a tile at `ZOOM`, of many some: three float32 each. Raises ReleaseError.
+
+        Place from west and from north in shares of the tile, and height [m] above the lowest point.
+        """
+        cloud = self.source.cloud_tile("environment_cloud", x, y)
+        if cloud is None or not len(cloud.quanta):
+            return b""
+        quanta = cloud.quanta[:: -(-len(cloud.quanta) // _MOST_POINTS)]
+        points_m = quanta.astype(np.float64) * cloud.resolution_m
+        places = _shares(points_m[:, :2], (x, y), TilePlace(ZOOM, x, y))
+        heights_m = points_m[:, 2] - points_m[:, 2].min()
+        return np.column_stack((places, heights_m)).astype("<f4").tobytes()
 
     def _within(self, zoom: int, x: int, y: int) -> list[Tile]:
         size = 1 << (ZOOM - zoom)
@@ -177,11 +201,16 @@ def _squares(within: Iterable[Tile], place: TilePlace) -> TileLayer:
 
 
 def _units(east_north_m: Float64, tile: Tile, place: TilePlace) -> Int64:
-    """Points (n, 2) of a tile's plane in units of a tile, y downwards."""
+    """Points (n, 2) of a tile's plane in units of another tile, y downwards."""
+    return np.round(_shares(east_north_m, tile, place) * EXTENT).astype(np.int64)
+
+
+def _shares(east_north_m: Float64, tile: Tile, place: TilePlace) -> Float64:
+    """Points (n, 2) of a tile's plane in shares of another tile's side, y downwards."""
     if not len(east_north_m):
-        return np.zeros((0, 2), np.int64)
+        return np.zeros((0, 2))
     latitude, longitude, _ = tile_frame(*tile).geodetic_from_east_north_array(east_north_m, 0.0)
     number = float(1 << place.zoom)
     column = (longitude + math.pi) / (2.0 * math.pi) * number - place.x
     row = (0.5 - np.arcsinh(np.tan(latitude)) / (2.0 * math.pi)) * number - place.y
-    return np.round(np.column_stack((column, row)) * EXTENT).astype(np.int64)
+    return np.column_stack((column, row))

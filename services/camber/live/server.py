@@ -32,6 +32,7 @@ from camber.live.rows import TERMS
 from camber.live.runbook import runbook_entries
 from camber.live.sources import Source
 from camber.road_map.release import ReleaseError
+from camber.road_map.tile_grid import TILES
 
 STATIC = Path(__file__).with_name("static")
 PERIOD_S = 0.1
@@ -40,6 +41,7 @@ _ROWS = 1000
 """Of a table in one message. Chosen: a quarter of a megabyte, so that a hundred stalled browsers hold some tens."""
 _BROWSERS = 128  # chosen: more than anybody opens; each costs a socket and a message
 _SHARED = 8  # batches kept for browsers that stand at the same place
+_TILE_TYPE = "application/vnd.mapbox-vector-tile"
 _BUSY = 1013  # RFC 6455 and its registry: try again later
 
 
@@ -82,6 +84,8 @@ class LiveState:
             "kind": "status",
             "state": self.source.state,
             "problem": self.source.problem,
+            # Of a recording that has been read: how many rows there are, so that the page knows when it has all.
+            "rows": self.history.cursor().rows if self.source.state == "complete" else None,
             "left_out": self.source.left_out() | {"late": self.history.late},
             "browsers": self.browsers,
             "health": None if self.health is None else self.health.view,
@@ -115,6 +119,9 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
     async def tile(request: Request) -> Response:
         return await _tile(state, request.path_params)
 
+    async def points(request: Request) -> Response:
+        return await _points(state, request.path_params)
+
     async def verdict(request: Request) -> Response:
         text = state.history.text(request.path_params["generation"], request.path_params["row"])
         return JSONResponse({"detail": text}, 200 if text is not None else 404)
@@ -129,6 +136,7 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
         routes=[
             Route("/", page),
             Route("/map/{zoom:int}/{x:int}/{y:int}.mvt", tile),
+            Route("/points/{x:int}/{y:int}", points),
             Route("/verdict/{generation:int}/{row:int}", verdict),
             Route("/runbook", runbook),
             WebSocketRoute("/stream", socket),
@@ -139,17 +147,27 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
 
 
 async def _tile(state: LiveState, place: dict[str, int]) -> Response:
-    if state.tiles is None:
+    tiles = state.tiles
+    if tiles is None:
         return Response(status_code=404)
-    make: Callable[..., bytes] = state.tiles.tile
+    return await _of_map(state, lambda: tiles.tile(place["zoom"], place["x"], place["y"]), _TILE_TYPE)
+
+
+async def _points(state: LiveState, place: dict[str, int]) -> Response:
+    tiles = state.tiles
+    if tiles is None or not max(place.values()) < TILES:
+        return Response(status_code=404)
+    return await _of_map(state, lambda: tiles.points(place["x"], place["y"]), "application/octet-stream")
+
+
+async def _of_map(state: LiveState, make: Callable[[], bytes], media_type: str) -> Response:
+    """What is made of the map, in a thread of its own, or what is wrong with it."""
     try:
-        data = await asyncio.to_thread(make, place["zoom"], place["x"], place["y"])
+        data = await asyncio.to_thread(make)
     except ReleaseError as error:
         state.map_problem = str(error)
         return JSONResponse({"problem": str(error)}, 503)
-    return Response(
-        data, media_type="application/vnd.mapbox-vector-tile", headers={"cache-control": "no-store"}
-    )
+    return Response(data, media_type=media_type, headers={"cache-control": "no-store"})
 
 
 async def _serve(state: LiveState, websocket: WebSocket) -> None:

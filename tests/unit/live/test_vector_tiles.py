@@ -14,7 +14,7 @@ from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
 from camber.replay.short_drive import write_short_drive
 from camber.road_map.release import open_release
 from camber.road_map.tile_grid import tile_frame
-from camber.schemas.road import ZOOM
+from camber.schemas.road import ZOOM, CloudTile, Layer
 
 
 def varint(data: bytes, at: int) -> tuple[int, int]:
@@ -158,3 +158,38 @@ def test_bounds_hold_all_tiles(tiles: MapTiles) -> None:
         assert west < longitude < east
         assert south < latitude < north
     assert facts["surrogate"]
+
+
+class _Cloud(ReleaseSource):
+    """A release with points of its own."""
+
+    def __init__(self, points: int) -> None:
+        x, y = self.place = (57686, 25920)
+        quanta = np.array([[0, 0, 10], [1000, 0, 20], [0, -1000, 35]] * points, np.int32)
+        self._cloud = CloudTile(
+            time_ns=1_400_000_000 * 10**9,
+            x=x,
+            y=y,
+            layer="environment_cloud",
+            base_height_m=40.0,
+            resolution_m=0.1,
+            quanta=quanta,
+        )
+
+    def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
+        return self._cloud if (layer, (x, y)) == ("environment_cloud", self.place) else None
+
+
+def test_points_are_shares_of_their_tile() -> None:
+    source = _Cloud(1)
+    points = np.frombuffer(MapTiles(source).points(*source.place), "<f4").reshape(-1, 3)
+    share = 100.0 / (2.0 * np.pi * 6378137.0 * np.cos(np.radians(35.5)) / (1 << ZOOM))
+    np.testing.assert_allclose(points[0], [0.5, 0.5, 0.0], atol=1e-3)
+    np.testing.assert_allclose(points[1], [0.5 + share, 0.5, 1.0], atol=3e-3)
+    np.testing.assert_allclose(points[2], [0.5, 0.5 + share, 2.5], atol=3e-3)
+    assert MapTiles(source).points(0, 0) == b""
+
+
+def test_of_many_points_some_are_sent() -> None:
+    source = _Cloud(300_000)
+    assert 200_000 * 12 < len(MapTiles(source).points(*source.place)) <= 400_000 * 12

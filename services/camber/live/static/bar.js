@@ -14,6 +14,7 @@ export const KEYS = [
   ["w", "w", "show the last wrong fix"],
   ["f", "f", "keep the vehicle in the middle"],
   ["a", "a", "show the whole track"],
+  ["p", "p", "points of the map's environment"],
   ["t", "t", "light or dark"],
   ["Escape", "Esc", "let go of the fix looked at"],
   ["?", "?", "this list"],

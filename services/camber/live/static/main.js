@@ -44,7 +44,7 @@ find("map").paint();
 const keys = {
   " ": () => view.toggle(), ArrowLeft: event => view.move(event.shiftKey ? -60 : -1), ArrowRight: event => view.move(event.shiftKey ? 60 : 1),
   Home: () => view.move(-1e9), End: () => view.newest(), b: () => view.move(-600), "+": () => view.longer(-1), "=": () => view.longer(-1), "-": () => view.longer(1),
-  w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
+  w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), p: () => map.setPoints(!view.points), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
 };
 addEventListener("keydown", event => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input, dialog")) return;
@@ -56,11 +56,17 @@ addEventListener("keydown", event => {
 });
 
 let dirty = false, drawn = 0, slow = 0, before = performance.now(), whole = false;
-store.addEventListener("rows", () => { dirty = true; store.arrived = Date.now() / 1000; });
-store.addEventListener("status", () => {
-  if (!whole && store.greeting?.mode === "recording" && store.status?.state === "complete" && Number.isFinite(store.newest)) { whole = true; view.showAll(); map.fitOnce?.(); }
-});
+store.addEventListener("rows", () => { dirty = true; store.arrived = Date.now() / 1000; showWhole(); });
+store.addEventListener("status", showWhole);
 store.addEventListener("greeting", () => { whole = false; });
+
+// A recording is shown whole once it is here.
+function showWhole() {
+  if (whole || !store.complete || !Number.isFinite(store.newest)) return;
+  whole = true;
+  view.showAll();
+  map.fitWhole();
+}
 
 function frame(now) {
   const shown = view.end;

@@ -3,6 +3,7 @@
 import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
 import { colour, element, metres, plain, remPx, VERDICT_COLOURS } from "./dom.js";
 import { Overlay, stateAt } from "./overlay.js";
+import { PointsLayer } from "./points.js";
 import { rgba, TrackLayer } from "./track.js";
 
 const NEAR_PX = 14;
@@ -52,13 +53,15 @@ export class CamberMap extends HTMLElement {
     const levels = element("select", { title: "levels of roads that are shown", onchange: event => { view.level = event.target.value; this.filter(); view.change(); } },
       ...["all", "-2", "-1", "0", "1", "2"].map(name => element("option", { value: name }, name === "all" ? "all levels" : `level ${name.replace("-", "−")}`)));
     levels.value = view.level;
-    this.tools.append(this.following, whole, colours, levels);
+    this.pointing = element("button", { type: "button", title: "points of the map's environment (p)", onclick: () => this.setPoints(!view.points) }, "points");
+    this.pointing.setAttribute("aria-pressed", String(view.points));
+    this.tools.append(this.following, whole, this.pointing, colours, levels);
   }
 
   open() {
     this.map?.remove();
     this.ready = false;
-    this.placed = Boolean(this.view.place);
+    this.placed = this.given = Boolean(this.view.place);
     const [zoom, latitude, longitude, bearing] = this.view.place ?? [1, 20, 0, 0];
     const map = this.map = new maplibregl.Map({
       container: this.canvas, style: this.style(), center: [longitude, latitude], zoom, bearing, maxZoom: 24, minZoom: 1, maxPitch: 0,
@@ -66,7 +69,7 @@ export class CamberMap extends HTMLElement {
     });
     map.addControl(new maplibregl.NavigationControl({ visualizePitch: false }), "top-right");
     map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-left");
-    map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); this.refreshFleet(); });
+    map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); this.refreshFleet(); if (this.whole) this.fitWhole(); });
     map.on("moveend", event => {
       const centre = map.getCenter();
       this.view.place = [+map.getZoom().toFixed(2), +centre.lat.toFixed(7), +centre.lng.toFixed(7), +map.getBearing().toFixed(1)];
@@ -106,6 +109,9 @@ export class CamberMap extends HTMLElement {
     const { map, store, view } = this;
     const range = table => ({ first: 0, begin: table.at(view.begin) + 1, end: table.at(view.end) + 1 });
     const size = (small, large) => zoom => Math.min(large, Math.max(small, small + (zoom - 15) * .8)) * remPx() / 14;
+    this.points = new PointsLayer("points");
+    map.addLayer(this.points);
+    if (view.points) this.points.show(true);
     map.addLayer(new TrackLayer("positions", {
       table: () => store.tables.position, code: () => 0, colours: () => Array(6).fill(rgba(colour("soft"))), size: size(2, 3.5), range,
     }));
@@ -135,6 +141,13 @@ export class CamberMap extends HTMLElement {
     if (!this.map?.getLayer("surfaces")) return;
     const only = level === "all" ? null : ["==", ["get", "level"], Number(level)];
     for (const id of ["surfaces", "links"]) this.map.setFilter(id, only);
+  }
+
+  setPoints(on) {
+    this.view.points = on;
+    this.pointing.setAttribute("aria-pressed", String(on));
+    this.points?.show(on);
+    this.view.change();
   }
 
   setFollow(on) {
@@ -172,6 +185,12 @@ export class CamberMap extends HTMLElement {
     const table = this.store.tables.verdict, step = Math.max(1, Math.floor(table.length / 5000));
     for (let k = 0; k < table.length; k += step) if (Number.isFinite(lat[k])) bounds.extend([lon[k], lat[k]]);
     if (!bounds.isEmpty()) this.map?.fitBounds(bounds, { padding: 60, maxZoom: 19, animate: false });
+  }
+
+  // A recording that has been read is shown whole, unless the address says which place.
+  fitWhole() {
+    this.whole = true;
+    if (this.ready && !this.given) this.fit();
   }
 
   goTo(time) {

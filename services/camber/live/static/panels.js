@@ -35,7 +35,7 @@ class CamberNow extends Panel {
       ["HPL", `${metres(a.hpl_m[p])}, limit ${metres(a.alert_m[p], 1)}`],
       ["VPL", `${metres(a.vpl_m[p])}, limit ${metres(a.vertical_alert_m[p], 1)}`],
       ["reference", plain(store.word("horizontal_reference", a.horizontal_reference[p]))],
-      ["pose rests on", q >= 0 ? plain(store.word("basis", pose.arrays.basis[q])) : null],
+      ["pose from", q >= 0 ? plain(store.word("basis", pose.arrays.basis[q])) : null],
       ["speed", q >= 0 && Number.isFinite(pose.arrays.speed_m_s[q]) ? `${(3.6 * pose.arrays.speed_m_s[q]).toFixed(0)} km/h` : null],
       ["satellites", f >= 0 && Number.isFinite(fix.arrays.satellites[f]) ? String(fix.arrays.satellites[f]) : null],
       ["error (truth)", Number.isFinite(a.error_m[p]) ? `${metres(a.error_m[p])}, up ${metres(a.error_up_m[p])}` : null],

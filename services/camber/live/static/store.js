@@ -105,6 +105,9 @@ export class Store extends EventTarget {
   get newest() { return Math.max(...["verdict", "position", "fix", "pose"].map(name => this.tables[name]?.last).filter(Number.isFinite)); }
   get oldest() { return Math.min(...["verdict", "position", "fix", "pose"].map(name => this.tables[name]?.begin).filter(Number.isFinite)); }
 
+  // Whether a recording has been read and all of it is here.
+  get complete() { return Boolean(this.status?.rows) && Object.values(this.tables).every((table, k) => table.first + table.length >= this.status.rows[k]); }
+
   word(list, place) { return Number.isFinite(place) ? this.words[list]?.[place] ?? "" : ""; }
 }
 

@@ -15,6 +15,7 @@ export class View extends EventTarget {
     this.place = null;
     this.theme = null;
     this.colour = "sigma";
+    this.points = false;
     this.level = "all";
     this.pinned = false; // the end came from the address
     this.restore();
@@ -29,6 +30,7 @@ export class View extends EventTarget {
     if (Number.isFinite(number("t"))) { this.end = number("t"); this.running = false; this.pinned = true; }
     if (Number.isFinite(number("at"))) this.selected = number("at");
     if (given.get("follow") === "0") this.follow = false;
+    if (given.get("points") === "1") this.points = true;
     if (["light", "dark"].includes(given.get("theme"))) this.theme = given.get("theme");
     if (["sigma", "day", "level"].includes(given.get("colour"))) this.colour = given.get("colour");
     if (/^-?\d{1,2}$/.test(given.get("level") || "")) this.level = given.get("level");
@@ -42,6 +44,7 @@ export class View extends EventTarget {
     if (!this.running && Number.isFinite(this.end)) parts.set("t", this.end.toFixed(2));
     if (Number.isFinite(this.selected)) parts.set("at", this.selected.toFixed(3));
     if (!this.follow) parts.set("follow", "0");
+    if (this.points) parts.set("points", "1");
     if (this.theme) parts.set("theme", this.theme);
     if (this.colour !== "sigma") parts.set("colour", this.colour);
     if (this.level !== "all") parts.set("level", this.level);
@@ -51,8 +54,7 @@ export class View extends EventTarget {
   }
 
   change(what = "view") {
-    clearTimeout(this.saving);
-    this.saving = setTimeout(() => this.save(), 400);
+    this.saving ??= setTimeout(() => { this.saving = null; this.save(); }, 400);
     this.dispatchEvent(new Event(what));
   }
 
@@ -65,7 +67,7 @@ export class View extends EventTarget {
     if (this.live) this.end = newest;
     else {
       this.end = Math.min(this.end + seconds, newest);
-      if (this.end >= newest && this.store.status?.state !== "reading") { this.running = false; this.change(); }
+      if (this.end >= newest && this.store.complete) { this.running = false; this.change(); }
     }
   }
 
