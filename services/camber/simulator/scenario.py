@@ -84,6 +84,18 @@ class Satellites(Model):
         default=3_000.0, ge=100.0, le=20_000.0, description="of the base station, to the north-east"
     )
     streams: bool = Field(default=True, description="RTCM and UBX streams with the RINEX files")
+    reference_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="error of antenna, lever arm and map reference, metres, in a direction that turns with the vehicle",
+    )
+    frame_sigma_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="σ, each horizontal axis, of the constant offset of the base's frame from the map's",
+    )
 
 
 class Fleet(Model):

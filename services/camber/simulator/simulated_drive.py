@@ -33,6 +33,7 @@ from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
 from camber.simulator.satellites.propagation import Surroundings, what_blocks
 from camber.simulator.satellites.receiver_solution import SimulatedSolutions, receiver_solutions
+from camber.simulator.satellites.reference_errors import frame_offset_m, with_reference_error
 from camber.simulator.satellites.track import AntennaTrack, static_track
 from camber.simulator.scenario import Scenario, ScenarioError
 from camber.simulator.scene import Booleans, Floats, Integers, Path, Trajectory
@@ -67,9 +68,10 @@ class SimulatedDrive:
     """All of a drive.
 
     `epoch_ns` (n,) are the true times of the receiver's epochs, `of_epoch` (n,) the trajectory's rows then. `outputs`
-    is in the order of arrival and may hold an epoch twice, or none. `base_offset_m` (n, 3): how far the base station's
-    coordinates are wrong (east, north, up). `fixed`, `fix_wrong` (n,): did the receiver report a fix of this (true)
-    time, and was it wrong? `map_offset_m`: by link, how far the map is wrong.
+    is in the order of arrival and may hold an epoch twice, or none. `frame_offset_m` (3,): the frame of the base
+    station's coordinates less the map's; `base_offset_m` (n, 3): how far they are wrong in all (east, north, up).
+    `fixed`, `fix_wrong` (n,): did the receiver report a fix of this (true) time, and was it wrong? `map_offset_m`: by
+    link, how far the map is wrong.
     """
 
     scenario: Scenario
@@ -85,6 +87,7 @@ class SimulatedDrive:
     solutions: SimulatedSolutions
     base: tuple[ObservationEpoch, ...]
     base_m: tuple[float, float, float]
+    frame_offset_m: Floats
     base_offset_m: Floats
     broadcast: tuple[Ephemeris, ...]
     fixed: Booleans
@@ -114,6 +117,8 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         antenna_m=trajectory.antenna_m[of_epoch],
         antenna_velocity_m_s=trajectory.antenna_velocity_m_s[of_epoch],
     )
+    true_m = track.antenna_m
+    track = with_reference_error(track, trajectory.yaw_rad[of_epoch], sky.reference_m, seed)
     shapes = district.shapes("drive")
     every_system = true_ephemerides(int(epoch_ns[0]), int(epoch_ns[-1]), seed)
     true = [e for e in every_system if chr(e.satellite >> 8) in sky.systems]
@@ -126,7 +131,8 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     base = simulate_signals(static_track(epoch_ns, base_m), frame, true, BASE, seed=seed, receiver="base")
     solutions = receiver_solutions(rover, base, track, frame, seed=seed)
     time_s = (epoch_ns - epoch_ns[0]) / NS_PER_SECOND
-    base_offset_m = _base_offset(faults, time_s)
+    frame_m = frame_offset_m(sky.frame_sigma_m, seed)
+    base_offset_m = frame_m + _base_offset(faults, time_s)
     moved = {}
     for solution in solutions.solutions:
         row = int(np.searchsorted(epoch_ns, solution.time_ns))
@@ -142,6 +148,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     fixed = solutions.quality == int(SolutionQuality.FIX)
     for missing in of_kind(faults, MissingEpochs):
         fixed &= ~missing.acts(time_s)
+    error_m = solutions.error_m + track.antenna_m - true_m + base_offset_m
     return SimulatedDrive(
         scenario=scenario,
         district=district,
@@ -156,10 +163,11 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         solutions=solutions,
         base=tuple(base.epochs()),
         base_m=base_m,
+        frame_offset_m=frame_m,
         base_offset_m=base_offset_m,
         broadcast=tuple(broadcast_ephemerides(true, seed)),
         fixed=fixed,
-        fix_wrong=fixed & (np.linalg.norm(solutions.error_m + base_offset_m, axis=1) > WRONG_M),
+        fix_wrong=fixed & (np.linalg.norm(error_m, axis=1) > WRONG_M),
         map_offset_m=offsets_by_link(of_kind(faults, WrongMap), trajectory),
     )
 

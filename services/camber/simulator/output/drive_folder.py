@@ -232,7 +232,9 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     times_ns = [arrival_ns for arrival_ns, _ in rover]
     _write_with_arrivals(folder / "rover.obs", lines[0], times_ns, lines[1:])
     with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
-        station = StationHeader(marker="base", position_ecef_m=base_ecef_m(drive), marker_type="GEODETIC")
+        station = StationHeader(
+            marker="base", position_ecef_m=base_ecef_m(drive, drive.frame_offset_m), marker_type="GEODETIC"
+        )
         file.writelines(observation_lines(list(drive.base), station))
     ionosphere = IonosphereCoefficients(system="G", alpha=KLOBUCHAR_ALPHA, beta=KLOBUCHAR_BETA)
     (folder / "brdc.nav").write_text(navigation_text(drive.broadcast, [ionosphere]), "ascii", newline="\n")
