@@ -91,15 +91,16 @@ def _latent_after(
             continue
         if_wrong_m2 = _sum(part.horizontal_m2, offset.covariance_m2)
         both_m2 = _plus(if_wrong_m2, faults.independent_sigma_m)
-        ratio = likelihood_ratio(offset.difference_m, if_wrong_m2, if_right_m2)
-        both = faults.independent_prior * likelihood_ratio(offset.difference_m, both_m2, if_right_m2)
+        off_m = offset.difference_m[0] - part.mean_m[0], offset.difference_m[1] - part.mean_m[1]
+        ratio = likelihood_ratio(off_m, if_wrong_m2, offset.difference_m, if_right_m2)
+        both = likelihood_ratio(off_m, both_m2, offset.difference_m, if_right_m2)
         bounded = replace(
             part,
             weight=ratio * part.weight,
             mean_m=(*offset.difference_m, part.mean_m[2]),
             horizontal_m2=_conditional(part.horizontal_m2, offset.covariance_m2, shares_errors),
         )
-        result += [bounded, _weighed(part, both)]
+        result += [bounded, _weighed(part, faults.independent_prior * both)]
     return result
 
 

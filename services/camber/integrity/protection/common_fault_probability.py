@@ -99,11 +99,14 @@ def common_fault_odds(
 
 
 def likelihood_ratio(
-    difference_m: tuple[float, float], if_wrong_m2: Horizontal, if_right_m2: Horizontal
+    wrong_m: tuple[float, float],
+    if_wrong_m2: Horizontal,
+    right_m: tuple[float, float],
+    if_right_m2: Horizontal,
 ) -> float:
-    """N(d; 0, wrong) / N(d; 0, right) for two covariances (ee, en, nn); the most where one is none."""
+    """N(d of wrong; 0, wrong) / N(d of right; 0, right), covariances (ee, en, nn); the most where one is none."""
     against = 0.5 * (
-        horizontal_distance2(*difference_m, if_right_m2) - horizontal_distance2(*difference_m, if_wrong_m2)
+        horizontal_distance2(*right_m, if_right_m2) - horizontal_distance2(*wrong_m, if_wrong_m2)
     )
     right, wrong = _determinant(if_right_m2), _determinant(if_wrong_m2)
     if not (0.0 < right < math.inf and 0.0 < wrong < math.inf and against < MOST_LOG_ODDS):

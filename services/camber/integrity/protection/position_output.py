@@ -17,7 +17,12 @@ from camber.integrity.pose_provenance import is_provisional as is_provisional
 from camber.integrity.protection.common_fault import with_common_fault
 from camber.integrity.protection.doppler_position import DopplerPosition
 from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
-from camber.integrity.protection.pose_dispute import PoseDispute, updated_dispute
+from camber.integrity.protection.pose_dispute import (
+    PoseAgreement,
+    PoseDispute,
+    updated_agreement,
+    updated_dispute,
+)
 from camber.integrity.protection.position_bounds import Bounds, bounds_of, is_beyond
 from camber.integrity.protection.position_candidates import (
     PositionCandidate,
@@ -48,6 +53,7 @@ class PositionOutput:
         self._latent_fault = LatentFaultHypothesis.initial(rules.levels.wrong_fix)
         self._matched = MatchCorroboration(rules.levels)
         self._dispute: PoseDispute | None = None
+        self._agreement: PoseAgreement | None = None
         self._index = ReliabilityIndex(rules.levels.index)
 
     def add_velocity(self, velocity: SatelliteVelocity) -> None:
@@ -61,7 +67,8 @@ class PositionOutput:
 
     def update_dispute(self, judgement: FixJudgement) -> None:
         """Update the dispute by a judgement: a fix that the pose contradicts makes the pose doubtful too."""
-        self._dispute = updated_dispute(judgement, self._dispute, self._rules.true_sigma)
+        self._dispute = updated_dispute(judgement, self._dispute, self._rules.true_sigma, self._agreement)
+        self._agreement = updated_agreement(judgement, self._agreement)
 
     def forget_future(self, now_ns: int) -> None:
         """Drop what is dated ahead: from a clock that is wrong, or from before ours was set back."""
@@ -73,6 +80,8 @@ class PositionOutput:
         if self._latent_fault.time_ns is not None and self._latent_fault.time_ns > limit_ns:
             self._latent_fault = replace(self._latent_fault, time_ns=limit_ns)
             self._matched = MatchCorroboration(self._levels)
+        if self._agreement is not None and self._agreement.time_ns > limit_ns:
+            self._agreement = None
         if self._dispute is not None and self._dispute.time_ns > limit_ns:
             self._dispute = replace(self._dispute, begun_ns=limit_ns, time_ns=limit_ns)
 

@@ -91,20 +91,23 @@ def test_what_is_far_off_or_no_number_is_a_fault(squared):
 def test_without_a_covariance_everything_is_a_fault(covariance):
     odds = common_fault_odds((0.1, 0.1), covariance, FAULTS)
     assert min(odds.alone, odds.with_independent) > 1e6
-    assert likelihood_ratio((0.1, 0.1), covariance, (1.0, 0.0, 1.0)) > 1e12
-    assert likelihood_ratio((0.1, 0.1), (1.0, 0.0, 1.0), covariance) > 1e12
+    one = (1.0, 0.0, 1.0)
+    assert likelihood_ratio((0.1, 0.1), covariance, (0.1, 0.1), one) > 1e12
+    assert likelihood_ratio((0.1, 0.1), one, (0.1, 0.1), covariance) > 1e12
 
 
 @exactly
 @given(st.floats(-2.0, 2.0), st.floats(0.1, 2.0), st.floats(-0.9, 0.9))
 def test_the_ratio_is_that_of_two_normal_densities(east_m, sigma_m, correlation):
-    def density(ee, en, nn):
-        return multivariate_normal(cov=[[ee, en], [en, nn]]).pdf([east_m, 0.3])
+    def density(at_m, ee, en, nn):
+        return multivariate_normal(cov=[[ee, en], [en, nn]]).pdf([at_m, 0.3])
 
     wrong = (1.0 + sigma_m**2, correlation * sigma_m, 1.0 + sigma_m**2)
     right = (sigma_m**2, 0.0, 0.5)
-    expected = min(density(*wrong) / density(*right), math.exp(30.0))
-    assert likelihood_ratio((east_m, 0.3), wrong, right) == pytest.approx(expected, rel=1e-6)
+    expected = min(density(east_m + 0.2, *wrong) / density(east_m, *right), math.exp(30.0))
+    assert likelihood_ratio((east_m + 0.2, 0.3), wrong, (east_m, 0.3), right) == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 def test_the_prior_is_the_sum_of_the_faults_and_never_a_certainty():

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.protection.pose_dispute import updated_dispute
+from camber.integrity.protection.pose_dispute import updated_agreement, updated_dispute
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
-from support.judging import ALL, SPEED_M_S, SettlingJudge, antenna, at, fix, pose
+from support.judging import ALL, SPEED_M_S, SettlingJudge, antenna, at, fix, independent, pose
 
 # Faults of single fixes: base station and signals are honest. `test_common_fault.py` has the others.
 RULES, LEVELS = Rules(horizontal_reference="assumed"), LevelRules()
@@ -175,4 +175,99 @@ def test_the_mixture_has_the_pose_and_the_place_of_the_fix():
     parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
     *others, there = disputed.with_alternative(parts, alone, 0.2)
     assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])
-    assert there.mean_m == pytest.approx((3.0, 4.0, 0.0), abs=1e-3)
+    assert there.mean_m == pytest.approx((-3.0, -4.0, 0.0), abs=1e-3), (
+        "the error of the pose, were the fix right"
+    )
+    assert not there.is_latent
+
+
+# --- out of reach --------------------------------------------------------------------------------------------------
+
+
+def agreement(epoch=0.0, speed_m_s=SPEED_M_S):
+    agreeing = replace(examined(epoch), verdict="confirmed")
+    return replace(updated_agreement(agreeing, None), speed_m_s=speed_m_s)
+
+
+def test_only_a_confirmed_fix_that_agrees_with_a_pose_of_known_speed_is_an_agreement():
+    agreeing = replace(examined(0.0), verdict="confirmed")
+    before = updated_agreement(agreeing, None)
+    assert (before.time_ns, before.speed_m_s) == (at(0), SPEED_M_S)
+    assert before.tolerance_m < 0.5
+    for other in (
+        replace(agreeing, verdict="unknown"),
+        replace(agreeing, comparison=None),
+        replace(agreeing, pose=None),
+        replace(agreeing, pose=sharp_pose(latitude_rad=None)),
+        replace(agreeing, pose=sharp_pose(speed_m_s=None)),
+        replace(examined(0.0, east_m=5.0), verdict="confirmed"),
+    ):
+        assert updated_agreement(other, before) is before
+
+
+def disputed(epoch, off_m, since, before=None):
+    return updated_dispute(examined(epoch, east_m=off_m), before, RULES.true_sigma, since)
+
+
+@exactly
+@given(st.floats(0.5, 40.0), st.floats(0.0, 30.0), st.floats(1.0, 60.0))
+def test_what_the_vehicle_can_have_reached_is_never_out_of_reach(epochs, speed_m_s, off_m):
+    since, duration_s = agreement(speed_m_s=speed_m_s), epochs * EPOCH_NS / 1e9
+    can_m = speed_m_s * duration_s + 5.0 * duration_s**2
+    dispute = disputed(epochs, off_m, since)
+    if off_m <= can_m:
+        assert not dispute.out_of_reach
+    # The pose has moved too, and fix and pose are known to decimetres.
+    if off_m > can_m + SPEED_M_S * duration_s + 1.0:
+        assert dispute.out_of_reach
+
+
+def test_without_an_agreement_or_a_place_of_the_pose_nothing_is_out_of_reach():
+    assert not disputed(1.0, 50.0, None).out_of_reach
+    assert not disputed(-1.0, 50.0, agreement()).out_of_reach, "older than the agreement"
+    nowhere = replace(examined(1.0, east_m=50.0), pose=sharp_pose(1.0, latitude_rad=None))
+    assert not updated_dispute(nowhere, None, RULES.true_sigma, agreement()).out_of_reach
+    without = replace(examined(1.0, east_m=50.0), pose=None)
+    assert not updated_dispute(without, None, RULES.true_sigma, agreement()).out_of_reach
+
+
+def test_a_run_that_began_out_of_reach_stays_so_and_another_place_does_not():
+    since = agreement()
+    began = disputed(1.0, 20.0, since)
+    assert began.out_of_reach
+    assert disputed(100.0, 20.3, since, began).out_of_reach
+    assert not disputed(100.0, 21.0, since, began).out_of_reach
+
+
+def test_a_pose_that_jumped_is_in_reach_of_where_it_jumped_from():
+    jumped = agreement()
+    far = replace(jumped, latitude_rad=jumped.latitude_rad + 20.0 / 6.37e6)
+    assert disputed(1.0, 20.0, jumped).out_of_reach
+    assert not disputed(1.0, 20.0, far).out_of_reach
+
+
+def test_an_independent_position_excludes_a_pose_that_is_wrong_by_what_is_out_of_reach():
+    rules = Rules()
+    for first, usable in ((0.0, True), (None, False)):
+        positions = PositionOutput(rules)
+        if first is not None:
+            positions.update_dispute(replace(examined(first), verdict="confirmed"))
+        positions.update_dispute(examined(1.0, east_m=20.0))
+        the_pose = sharp_pose(2, independent=independent(2, sigma_m=0.1))
+        result = positions.at(at(2), EpochInputs(pose=the_pose, antenna=antenna(2), alive=ALL), 0.0)
+        assert result.usable is usable
+        assumed = PositionOutput(replace(rules, horizontal_reference="assumed"))
+        if first is not None:
+            assumed.update_dispute(replace(examined(first), verdict="confirmed"))
+        assumed.update_dispute(examined(1.0, east_m=20.0))
+        assert not position(assumed, 2).usable, "nothing else excludes it"
+
+
+def test_an_agreement_that_is_dated_ahead_is_none():
+    positions = PositionOutput(Rules())
+    positions.update_dispute(replace(examined(500.0), verdict="confirmed"))
+    positions.forget_future(at(0))
+    positions.update_dispute(examined(501.0, east_m=20.0))
+    the_pose = sharp_pose(502, independent=independent(502, sigma_m=0.1))
+    inputs = EpochInputs(pose=the_pose, antenna=antenna(502), alive=ALL)
+    assert not positions.at(at(502), inputs, 0.0).usable
