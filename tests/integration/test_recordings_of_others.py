@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.drive.recording import load_recording
+from camber.formats.drive.recording import load_recording, read_about
 from camber.schemas.codec import encode
 from support.running import MACHINE, camber, camber_started, loopback_router, python, summary_of, wait_until
 
@@ -66,6 +66,9 @@ def test_a_program_without_camber_reads_every_message_at_its_date(replayed: Path
     assert done.returncode == 0, done.stderr
     counts, dates = json.loads(done.stdout)
     assert dates == ["2024-05-17"]
+    about = read_about(replayed / "recording.mcap")
+    assert (about["drive"], about["vehicle"]) == ("short-drive", "demo")
+    assert json.loads(about["settings"])["integrity"]["alert_limit_m"] == 1.5
     lists, errors = load_recording(replayed / "recording.mcap")
     assert errors == []
     ours = {"/gnss/fix": "fix", "/integrity/verdict": "verdict", "/integrity/position": "position"}

@@ -22,6 +22,7 @@ from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
+from camber.replay.service_settings import service_settings
 from camber.road_map.release import read_release
 from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
@@ -66,7 +67,7 @@ def replay(
     recorded = None
     with (
         tqdm(total=len(tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar,
-        RunRecorder(folder, manifest, tick_times_ns[0]) as recorder,
+        RunRecorder(folder, manifest, tick_times_ns[0], settings=service_settings(inputs, out)) as recorder,
         _interruptible(),
     ):
         if inputs.map_release is not None:

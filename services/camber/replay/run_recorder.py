@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any, Self
 
@@ -23,13 +25,22 @@ _REPEATED_ISSUE_NS = 10_000_000_000  # chosen: as in the services' own logs
 class RunRecorder:
     """The recording of one run; use as a context. Sweeps are not recorded: they are in the drive's folder."""
 
-    def __init__(self, folder: RunFolder, manifest: DriveManifest, start_ns: int) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        manifest: DriveManifest,
+        start_ns: int,
+        *,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        """`settings` of the services stand in the recording's metadata, as the manifest does."""
         vehicle = manifest.vehicle
         about = {
             "drive": manifest.name,
             "vehicle": vehicle,
             "camber": version("camber"),
             "manifest": manifest.model_dump_json(),
+            "settings": json.dumps(settings or {}, default=str),
         }
         self._recorder = Recorder(folder.recording_path, about=about)
         # Bulk is not recorded: a sweep of 50,000 points has a megabyte.
