@@ -44,7 +44,7 @@ $(MADE):
 
 # What running needs; redone when the requirements change.
 .venv/.runtime: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[localizer,plots,simulator]'
+	$(PIP) -e '.[localizer,plots,simulator,web]'
 	@touch $@
 
 .venv/.development: pyproject.toml constraints.txt $(MADE)

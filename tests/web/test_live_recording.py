@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from camber.formats.drive.recorder import Recorder
 from camber.replay.short_drive import START_NS, write_short_drive
@@ -70,6 +71,11 @@ def test_a_replay_is_shown_with_its_map_and_its_truth(browser: Any, run: Path) -
         assert {len(row) for row in rows} == {len(rows[0])}
         assert len(rows) > 100
         assert {row[rows[0].index("verdict")] for row in rows[1:]} >= {"confirmed", "erroneous"}
+        with page.expect_download() as picture:
+            page.get_by_role("button", name="PNG").click()
+        with Image.open(picture.value.path()) as image:
+            assert image.size[0] > 900
+            assert len(image.convert("RGB").getcolors(1 << 20) or ()) > 100
         page.keyboard.press("?")
         assert page.locator("dialog").is_visible()
         assert (shown.complaints, shown.elsewhere()) == ([], [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,10 +32,15 @@ def main(argv: Sequence[str]) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         manifest = (_short if args.short else _city)(args.out, args.seed)
         code = replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
-        print(f"to look at it on a map: camber live {args.out}")
+        print(f"on a map: {_command()} live {args.out}")
         return code
 
     return report_failures("camber demo", args.out, work)
+
+
+def _command() -> str:
+    """The command as it was typed: in a checkout it is not on the path."""
+    return sys.argv[0] if Path(sys.argv[0]).name == "camber" else "camber"
 
 
 def _short(out: Path, seed: int | None) -> Path:

@@ -167,6 +167,29 @@ export class CamberCharts extends HTMLElement {
     ctx.restore();
   }
 
+  // Title and legend of a chart, in letters that are small enough for its width.
+  writeHead(c, chart, y, head) {
+    const title = chart.title + (chart.unit ? `, ${chart.unit}` : ""), indent = 8 * devicePixelRatio, mark = head * .4;
+    let size = 12 * devicePixelRatio + 1, total;
+    do {
+      size -= 1;
+      c.font = `600 ${size}px system-ui, sans-serif`;
+      total = indent + c.measureText(title).width + chart.labels.reduce((sum, label) => sum + c.measureText(label).width + mark + 1.4 * size, size);
+    } while (total > c.canvas.width && size > 6);
+    let x = indent;
+    c.fillStyle = colour("ink");
+    c.fillText(title, x, y + head * .7);
+    x += c.measureText(title).width + size;
+    c.font = `${size}px system-ui, sans-serif`;
+    chart.labels.forEach((label, k) => {
+      c.fillStyle = chart.colours ? colour(chart.colours[k]) : chart.series[k].stroke;
+      c.fillRect(x, y + head * .34, mark, mark);
+      c.fillStyle = colour("soft");
+      c.fillText(label, x + mark + .4 * size, y + head * .7);
+      x += c.measureText(label).width + mark + 1.4 * size;
+    });
+  }
+
   // All charts on one canvas, in their order.
   picture(width) {
     const canvases = this.charts.map(chart => [chart, chart.plot.ctx.canvas]), head = 22 * devicePixelRatio;
@@ -174,20 +197,7 @@ export class CamberCharts extends HTMLElement {
     const whole = element("canvas", { width, height }), c = whole.getContext("2d");
     let y = 0;
     for (const [chart, canvas] of canvases) {
-      let x = 8 * devicePixelRatio;
-      c.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
-      c.fillStyle = colour("ink");
-      const title = chart.title + (chart.unit ? `, ${chart.unit}` : "");
-      c.fillText(title, x, y + head * .7);
-      x += c.measureText(title).width + 18 * devicePixelRatio;
-      c.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
-      chart.labels.forEach((label, k) => {
-        c.fillStyle = chart.colours ? colour(chart.colours[k]) : chart.series[k].stroke;
-        c.fillRect(x, y + head * .32, head * .4, head * .4);
-        c.fillStyle = colour("soft");
-        c.fillText(label, x + head * .55, y + head * .7);
-        x += c.measureText(label).width + head;
-      });
+      this.writeHead(c, chart, y, head);
       c.drawImage(canvas, 0, y + head, width, canvas.height * width / canvas.width);
       y += canvas.height * width / canvas.width + head;
     }

@@ -5,16 +5,20 @@ import { clock, colour, day, element } from "./dom.js";
 const NUMBERS = ["difference_m", "tolerance_m", "east_m", "north_m", "error_m"];
 const LEVELS = ["h", "hpl_m", "vpl_m", "alert_m", "vertical_alert_m", "major_m", "minor_m", "error_m", "error_up_m"];
 
+// The charts stand beside the map as on a wide screen, or below it.
 export async function savePicture(store, view, map, charts) {
-  const upper = await map.picture(), width = upper?.width ?? 1600, lower = charts.picture(width), head = Math.round(width / 32);
-  const whole = element("canvas", { width, height: head + (upper?.height ?? 0) + lower.height }), c = whole.getContext("2d");
+  const left = await map.picture(), right = charts.picture(left && innerWidth < 760 ? left.width : charts.clientWidth * devicePixelRatio);
+  const beside = left && innerWidth >= 760, head = Math.round(30 * devicePixelRatio), gap = Math.round(8 * devicePixelRatio);
+  const width = beside ? left.width + gap + right.width : right.width;
+  const height = head + (beside ? Math.max(left.height, right.height) : (left?.height ?? 0) + right.height);
+  const whole = element("canvas", { width, height }), c = whole.getContext("2d");
   c.fillStyle = colour("card");
-  c.fillRect(0, 0, whole.width, whole.height);
+  c.fillRect(0, 0, width, height);
   c.fillStyle = colour("ink");
   c.font = `${Math.round(head * .5)}px system-ui, sans-serif`;
-  c.fillText(`${store.greeting.title} · ${day(view.begin)} ${clock(view.begin)} to ${clock(view.end)} UTC · Camber`, head * .4, head * .7);
-  if (upper) c.drawImage(upper, 0, head);
-  c.drawImage(lower, 0, head + (upper?.height ?? 0));
+  c.fillText(`${store.greeting.title} · ${day(view.begin)} ${clock(view.begin)} to ${clock(view.end)} UTC · Camber`, head * .4, head * .68);
+  if (left) c.drawImage(left, 0, head);
+  c.drawImage(right, beside ? left.width + gap : 0, beside || !left ? head : head + left.height);
   whole.toBlob(blob => save(blob, `${fileName(store, view)}.png`), "image/png");
 }
 

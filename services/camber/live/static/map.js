@@ -22,6 +22,7 @@ export class CamberMap extends HTMLElement {
     this.overlay = new Overlay();
     this.append(this.canvas, this.overlay.canvas, this.tools, this.key);
     this.makeTools();
+    store.addEventListener("greeting", () => this.drawKey());
     if (!hasWebGL()) {
       this.append(element("p", { class: "notice" }, "This browser has no WebGL 2, so the map is not drawn. Charts, fixes and health work without it."));
       return;
@@ -226,18 +227,20 @@ export class CamberMap extends HTMLElement {
     return best;
   }
 
+  // Kind of mark, its colour and what it stands for.
+  legend() {
+    const { greeting, words } = this.store;
+    if (greeting?.mode === "fleet") return [["dot", "good", "position usable"], ["dot", "bad", "not usable"], ["dot", "unknown", "silent"], ["ring", "level", "protection level"]];
+    return [...(words.verdict ?? []).map(word => ["dot", VERDICT_COLOURS[word], plain(word)]),
+      ["ring", "level", "protection level"], ["ring", "confirmed", "99 % ellipse"], ["ring", "pose", "prior pose, 99 %"]];
+  }
+
   drawKey() {
-    const fleet = this.store.greeting?.mode === "fleet";
-    const ramp = RAMPS[this.view.colour], line = (kind, name, text) => element("div", {}, element("i", { class: kind, style: { background: colour(name), borderColor: colour(name) } }), text);
+    const ramp = RAMPS[this.view.colour], line = ([kind, name, text]) => element("div", {}, element("i", { class: kind, style: { background: colour(name), borderColor: colour(name) } }), text);
     this.key.dataset.words = String(this.store.words.verdict);
     const gradient = `linear-gradient(90deg, ${ramp.stops.map(stop => stop[1]).join(", ")})`;
-    this.key.replaceChildren(
-      element("summary", {}, "key"),
-      ...(fleet ? [line("dot", "good", "position usable"), line("dot", "bad", "not usable"), line("dot", "unknown", "silent")]
-        : (this.store.words.verdict ?? []).map(word => line("dot", VERDICT_COLOURS[word], plain(word)))),
-      line("ring", "level", "protection level"), ...(fleet ? [] : [line("ring", "confirmed", "99 % ellipse"), line("ring", "pose", "prior pose, 99 %")]),
-      ...(this.store.greeting?.map ? [element("div", {}, `${ramp.title}`), element("div", {}, ramp.ends[0], element("i", { class: "ramp", style: { background: gradient } }), ramp.ends[1])] : []),
-    );
+    this.key.replaceChildren(element("summary", {}, "key"), ...this.legend().map(line),
+      ...(this.store.greeting?.map ? [element("div", {}, ramp.title), element("div", {}, ramp.ends[0], element("i", { class: "ramp", style: { background: gradient } }), ramp.ends[1])] : []));
   }
 
   // The map as it is now, with its scale and north, on a canvas.
@@ -249,6 +252,7 @@ export class CamberMap extends HTMLElement {
         c.drawImage(source, 0, 0);
         c.drawImage(this.overlay.canvas, 0, 0, copy.width, copy.height);
         drawScaleAndNorth(c, copy, this.map);
+        drawLegend(c, copy, this.map, this.legend());
         done(copy);
       });
       this.map.triggerRepaint();
@@ -264,6 +268,23 @@ function rampExpression(name) {
 
 function hasWebGL() {
   try { return Boolean(document.createElement("canvas").getContext("webgl2")); } catch { return false; }
+}
+
+function drawLegend(c, { width, height }, map, entries) {
+  const factor = width / map.getContainer().clientWidth, line = 17 * factor, left = width - 190 * factor;
+  c.font = `${12 * factor}px system-ui, sans-serif`;
+  c.fillStyle = colour("card") + "e0";
+  c.fillRect(left - 10 * factor, height - (entries.length + 1) * line, 200 * factor, (entries.length + 1) * line);
+  entries.forEach(([kind, name, text], k) => {
+    const y = height - (entries.length - k) * line;
+    c.beginPath();
+    c.arc(left + 5 * factor, y - 4 * factor, 4.5 * factor, 0, 2 * Math.PI);
+    c.fillStyle = c.strokeStyle = colour(name);
+    c.lineWidth = 2 * factor;
+    if (kind === "dot") c.fill(); else c.stroke();
+    c.fillStyle = colour("ink");
+    c.fillText(text, left + 18 * factor, y);
+  });
 }
 
 function drawScaleAndNorth(c, { width, height }, map) {
