@@ -54,6 +54,20 @@ def test_the_counts_of_a_recording_are_those_of_its_summary(replayed: Path) -> N
 
 
 @pytest.mark.slow
+def test_a_topic_of_a_recording_is_printed_as_csv_in_utc(replayed: Path) -> None:
+    fields = ("verdict", "height_difference_m", "nosuch.field")
+    header, *rows = printed_lines(
+        "recording_to_csv.py", replayed / "recording.mcap", "/integrity/verdict", *fields
+    )
+    assert header == "utc,verdict,height_difference_m,nosuch.field"
+    assert rows[0].startswith("2024-05-17T16:53:02.000+00:00,unknown,0.36")
+    assert len(rows) == json.loads((replayed / "summary.json").read_text("utf-8"))["verdicts"]["count"]
+    source = (ROOT / "examples" / "recording_to_csv.py").read_text("utf-8")
+    assert "import camber" not in source
+    assert "from camber" not in source
+
+
+@pytest.mark.slow
 def test_a_cut_recording_is_reported_in_one_line(replayed: Path, tmp_path: Path) -> None:
     data = (replayed / "recording.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
