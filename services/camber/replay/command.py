@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -23,7 +23,8 @@ from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
 from camber.replay.service_settings import service_settings
-from camber.road_map.release import read_release
+from camber.road_map.release import open_release
+from camber.road_map.road_columns import ReleaseError
 from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
@@ -71,7 +72,8 @@ def replay(
         _interruptible(),
     ):
         if inputs.map_release is not None:
-            recorder.draw_roads(read_release(inputs.map_release).road_links())
+            with suppress(ReleaseError):  # the map server reports a map that cannot be read
+                recorder.draw_roads(open_release(inputs.map_release).road_links())
         if processes:
             from camber.replay.lock_step.drive import replay_through_processes
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 from pathlib import Path
 from typing import Any, get_args
@@ -152,3 +153,13 @@ def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     for _ in range(50):
         processes.restart_ended()
     assert processes.notes == ["gnss ended (exit code 3) and was started again"] * 20
+
+
+def test_a_map_that_cannot_be_read_costs_confirmations_and_not_the_replay(tmp_path: Path) -> None:
+    manifest = write_short_drive(tmp_path / "drive", 1)
+    for blob in (tmp_path / "drive" / "map" / "blobs").rglob("*/*"):
+        blob.write_bytes(b"damaged")
+    out = tmp_path / "out"
+    assert replay.main([str(manifest), "--out", str(out), "--set", "end_s=3", "--quiet"]) == 0
+    rows = json.loads((out / "summary.json").read_text("utf-8"))["verdicts"]["by_reason"]
+    assert {row["verdict"] for row in rows} == {"unknown"}
