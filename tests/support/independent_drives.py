@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from camber.integrity.learning.residuals import FixResidual
 from support.residual_drives import EARTH_M, KEY, START_NS
 
 Floats = NDArray[np.float64]
-Errors = Literal["steady", "constant", "scale", "random_walk", "corrected"]
-ERRORS: tuple[Errors, ...] = ("steady", "constant", "scale", "random_walk", "corrected")
+Errors = Literal["steady", "constant", "scale", "random_walk", "corrected", "several"]
+ERRORS: tuple[Errors, ...] = get_args(Errors)
 FIX_SIGMA_M = 0.02
 
 
@@ -47,6 +47,15 @@ def independent_errors(drive: Drive, rng: np.random.Generator) -> tuple[Floats, 
                     error = memory * error + np.sqrt(1.0 - memory**2) * one
                     values.append(error)
                 errors[:, axis], variances[:, axis] = sigma_m * np.array(values), sigma_m**2
+            case "several":  # of 40 m, 300 m and 2 km at once
+                for share, length_m in ((0.1, 40.0), (0.7, 300.0), (0.2, 2000.0)):
+                    memory = np.exp(-step_m / length_m)
+                    error, values = rng.standard_normal(), []
+                    for one in rng.standard_normal(n):
+                        error = memory * error + np.sqrt(1.0 - memory**2) * one
+                        values.append(error)
+                    errors[:, axis] += sigma_m * np.sqrt(share) * np.array(values)
+                variances[:, axis] = sigma_m**2
             case "constant":
                 errors[:, axis], variances[:, axis] = sigma_m * normal[0], sigma_m**2
             case "scale":  # one percent of the way, after a start of 0.3 m
@@ -71,7 +80,9 @@ def independent_errors(drive: Drive, rng: np.random.Generator) -> tuple[Floats, 
 def _evidence_ns(drive: Drive, k: int) -> int:
     """Of the last evidence at an epoch: always new where errors are steady, each kilometre where they are corrected."""
     step_m = drive.speed_m_s / drive.rate_hz
-    last = {"steady": k, "corrected": k - k % int(1000.0 / step_m)}.get(drive.errors, 0)
+    last = {"steady": k, "several": k - k % 20, "corrected": k - k % int(1000.0 / step_m)}.get(
+        drive.errors, 0
+    )
     return START_NS + round(last / drive.rate_hz * 1e9)
 
 

@@ -1,27 +1,16 @@
 """Are fixes off by one horizontal vector, or led away? Judged by an independent position, of whatever precision.
 
-The differences d(t) of fix and independent position are tested along the two principal axes of its covariance. If the
-fixes are right, d has mean zero and the covariance K of the independent position's errors. A fault adds s(t) · a with
-an unknown size a: one vector since a time, s = 1 from then on (base station, datum), or a growing one, s the time since
-then (fixes that are led away). The statistic of one template is that of the generalised likelihood ratio for a Gaussian
-of known covariance (S. M. Kay, "Fundamentals of statistical signal processing", II, 6.4), summed over both axes,
+If the fixes are right, the differences d of fix and independent position have mean zero and the covariance K of the
+errors of both. A fault adds s(t) · a with an unknown vector a: one vector since a time, s = 1 from then on (base
+station, datum), or a growing one, s the time since then (fixes that are led away). The statistic of one template is
+that of the generalised likelihood ratio for a Gaussian of known covariance (S. M. Kay, "Fundamentals of statistical
+signal processing", II, 6.4),
 
-    T = (sᵀ K⁻¹ d)² / (sᵀ K⁻¹ s)   ~ χ² with two degrees of freedom without a fault,
+    T = bᵀ A⁻¹ b,   A = Σᵢⱼ sᵢ sⱼ (K⁻¹)ᵢⱼ,   b = Σᵢⱼ sᵢ (K⁻¹)ᵢⱼ dⱼ     ~ χ² with two degrees of freedom without a fault,
 
-at its largest over the times at which it may have begun.
-
-K is known in part only: a position has its σ at each time, but not how its errors go on. So T is the least over three
-covariances that bound what dead reckoning and its evidence do, each times e^(−u) and with a common part of
-`common_sigma_m` (survey, lever arm):
-
-- what was driven adds independent errors, and evidence removes a part of them: cov = min(σᵢ², σⱼ²), twice, with a slow
-  and a fast renewal u;
-- one scale or heading error grows with the way: cov = σᵢ σⱼ, with the slow renewal.
-
-u is the way driven in lengths L = max(σ² / q, least), over which a steady error is renewed: with q, by which the
-variance grows in a metre, new errors of σ² replace the old after L. The slow renewal bounds how far an error may
-be averaged: a way counts once there is evidence at its end, until then the error is the old one and more. The fast one
-bounds how far it may change: each way counts, for links and turns move the position without being evidence.
+with a = A⁻¹ b, at its largest over the times at which it may have begun. K is known in part only: T is the least over
+the covariances of `independent_errors`, each with a common part of `common_sigma_m` (survey, lever arm) and the fixes'
+own errors.
 
 numpy only. Arrays (n,) by sample, metres and seconds.
 """
@@ -29,28 +18,28 @@ numpy only. Arrays (n,) by sample, metres and seconds.
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camber.integrity.learning.common_offset import Floats
+from camber.integrity.learning.independent_errors import IndependentErrors
 from camber.integrity.learning.residuals import FixResidual, distance_m
 
 _SAMPLE_NS = 2_000_000_000  # chosen: no fault has to be named within less than 20 s
 _MOST_SAMPLES = (
     128  # chosen: 4 min; beyond, every other one of the older half is dropped, so that it reaches farther
 )
-_SLOW, _FAST = (1e-3, 300.0), (2e-2, 10.0)
-"""q [m²/m] and least L [m]. σ of 0.6 and 2.4 m after 300 m, the second an error of 1.5 % of the way at 95 %; relief
-needs some 300 m of road for a position of decimetres, a scan match some 10 m."""
-_MODELS = ((False, _SLOW), (False, _FAST), (True, _SLOW))
-"""Whether all errors grow from one cause, and the renewal."""
 _LEAST_SHOWN_CHI2 = (
     2.0  # of the newest sample, to look further; chosen: of what is within σ now nothing is named
 )
 _LEAST_FIX_SIGMA_M = 0.02  # of two seconds of fixes; chosen: whatever a receiver claims
+_NEAR_SIGMAS = 2.0  # chosen: 86 % of two-dimensional errors lie within it
+_OVER_CHI2 = 4.0  # in favour of no fault: likelihoods of 7 to 1; chosen: an error of 2 σ ends none
 _WAVERING = 3  # samples without the offset that end it; chosen: one wrong fix is two at most
 FaultKind = Literal["base", "drift"]
 
@@ -63,7 +52,7 @@ class IndependentOffsetRules:
     after `least_s`, longer than a wrong fix lasts whose integers hold, or after `least_far_s` beyond `far_m`, where no
     wrong integers reach; a growing one after `least_drift_s`, from `least_drift_m`, where one wrong fix is no slope.
     `margin` is the difference in T that distinguishes the two: 3 σ. `coherent` is the share of the samples that must
-    lie within half of what is named.
+    lie within half of what is named, or within two σ of it.
     """
 
     least_chi2: float = 36.0
@@ -163,10 +152,19 @@ class IndependentOffsets:
             self._hold(self.fault, sample)
 
     def _hold(self, fault: IndependentOffset, sample: _Sample) -> None:
-        """It lasts until fixes are nearer to the independent position than to it; that σ has grown is no end."""
-        east_m, north_m = fault.east_north_m
-        along = east_m * sample.east_north_m[0] + north_m * sample.east_north_m[1]
-        self._wavering = self._wavering + 1 if along < 0.5 * (east_m**2 + north_m**2) else 0
+        """It lasts until fixes are nearer to the independent position than to it, beyond what σ explains.
+
+        Fixes that are led along a road turn with it: of a drift only the length counts.
+        """
+        size_m = math.hypot(*fault.east_north_m)
+        toward = sample.east_north_m if fault.kind == "drift" else fault.east_north_m
+        length_m = math.hypot(*toward) or 1.0
+        u, v = toward[0] / length_m, toward[1] / length_m
+        left_m = u * sample.east_north_m[0] + v * sample.east_north_m[1]
+        ee, en, nn = sample.covariance_m2
+        variance_m2 = u * u * ee + 2.0 * u * v * en + v * v * nn + sample.fix_sigma_m**2
+        over = size_m**2 - 2.0 * size_m * left_m > _OVER_CHI2 * variance_m2
+        self._wavering = self._wavering + 1 if over else 0
         if self._wavering >= _WAVERING:
             self._samples, self.fault, self._wavering = self._samples[-_WAVERING:], None, 0
 
@@ -176,35 +174,46 @@ def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> Independ
     n = len(samples)
     if n < 3 or not _shows(samples[-1], rules):
         return None
-    time_s = np.array([(each.time_ns - samples[0].time_ns) / 1e9 for each in samples])
-    since_s = time_s[:, None] - time_s[None, :]  # (n, onset)
-    templates = np.hstack((np.where(since_s >= 0.0, 1.0, 0.0), np.maximum(since_s[:, :-1], 0.0)))
-    statistic, size = _statistics(samples, templates, rules)
+    time_s = np.array([(each.time_ns - samples[-1].time_ns) / 1e9 for each in samples])
+    statistic, size = _statistics(samples, time_s, rules)
     constant, growing = int(np.argmax(statistic[:n])), n + int(np.argmax(statistic[n:]))
     apart = statistic[growing] - statistic[constant]
     if max(statistic[constant], statistic[growing]) < rules.least_chi2 or abs(apart) < rules.margin:
         return None
     best = growing if apart > 0.0 else constant
     onset = best if best < n else best - n
-    lasted_s = float(time_s[-1] - time_s[onset])
-    path_m = templates[onset:, best, None] * size[:, best]  # (samples since, 2)
+    lasted_s = -float(time_s[onset])
+    grown = np.ones(n - onset) if best < n else time_s[onset:] - time_s[onset]
+    path_m = grown[:, None] * size[best]  # (samples since, 2)
     now_m = float(np.hypot(*path_m[-1]))
     if best < n:
         long_enough = lasted_s >= (rules.least_far_s if now_m > rules.far_m else rules.least_s)
     else:
         long_enough = lasted_s >= rules.least_drift_s and now_m >= rules.least_drift_m
-    seen_m = np.array([each.east_north_m for each in samples[onset:]])
-    near = np.hypot(*(seen_m - path_m).T) <= np.maximum(0.5 * np.hypot(*path_m.T), 0.25 * now_m)
+    near = _near(samples[onset:], path_m)
     if not long_enough or not near[-1] or float(near.mean()) < rules.coherent:
         return None
     east_m, north_m = path_m[-1].tolist()
-    growth = size[:, best].tolist() if best >= n else (0.0, 0.0)
+    growth = size[best].tolist() if best >= n else (0.0, 0.0)
     return IndependentOffset(
         kind="drift" if best >= n else "base",
         onset_ns=samples[onset].time_ns,
         east_north_m=(east_m, north_m),
         growth_m_s=(growth[0], growth[1]),
     )
+
+
+def _near(samples: list[_Sample], path_m: Floats) -> NDArray[np.bool_]:
+    """Which samples lie as near to a path (n, 2) as what has this cause does: half of it, or what σ explains."""
+    apart_m = np.array([each.east_north_m for each in samples]) - path_m
+    size_m = np.hypot(*path_m.T)
+    ee, en, nn = np.array([each.covariance_m2 for each in samples]).T
+    chi2 = (nn * apart_m[:, 0] ** 2 - 2.0 * en * apart_m[:, 0] * apart_m[:, 1] + ee * apart_m[:, 1] ** 2) / (
+        ee * nn - en * en
+    )
+    near: NDArray[np.bool_] = np.hypot(*apart_m.T) <= np.maximum(0.5 * size_m, 0.25 * size_m[-1])
+    near |= chi2 <= _NEAR_SIGMAS**2
+    return near
 
 
 def _shows(sample: _Sample, rules: IndependentOffsetRules) -> bool:
@@ -217,56 +226,60 @@ def _shows(sample: _Sample, rules: IndependentOffsetRules) -> bool:
 
 
 def _statistics(
-    samples: list[_Sample], templates: Floats, rules: IndependentOffsetRules
+    samples: list[_Sample], time_s: Floats, rules: IndependentOffsetRules
 ) -> tuple[Floats, Floats]:
-    """T (m,) of each template (n, m), the least over the covariances, and its size (2, m), east and north."""
+    """T (2n − 1,) of a vector since each sample, then of a growing one since each but the newest; sizes (2n − 1, 2).
+
+    T is the least over the covariances; a covariance by which there is no fault ends the search.
+    """
     seen_m = np.array([each.east_north_m for each in samples])
-    covariances = np.array([((ee, en), (en, nn)) for ee, en, nn in (s.covariance_m2 for s in samples)])
-    _, axes = np.linalg.eigh(covariances[-1])
-    driven_m = np.diff([each.driven_m for each in samples])
-    with_evidence_m = _distances_with_evidence(samples)
-    fix_m2 = np.array([each.fix_sigma_m**2 for each in samples])
-    total: list[Floats] = []
-    sizes: list[Floats] = []
-    variances = [np.maximum(np.einsum("i,nij,j->n", a, covariances, a), 1e-6) for a in axes.T]
-    for coherent, renewal in _MODELS:
-        step_m = driven_m if renewal is _FAST else with_evidence_m
-        chi2, size = np.zeros(templates.shape[1]), np.zeros((2, templates.shape[1]))
-        for axis, variance_m2 in zip(axes.T, variances, strict=True):
-            covariance_m2 = _error_covariance(variance_m2, step_m, renewal, coherent=coherent)
-            covariance_m2 += rules.common_sigma_m**2
-            root = np.linalg.cholesky(covariance_m2 + np.diag(fix_m2))
-            white = np.linalg.solve(root, np.column_stack((seen_m @ axis, templates)))
-            score, information = white[:, 1:].T @ white[:, 0], (white[:, 1:] ** 2).sum(axis=0)
-            chi2 += score**2 / information
-            size += axis[:, None] * (score / information)
-        total.append(chi2)
-        sizes.append(size)
-    least = np.argmin(total, axis=0)
-    columns = np.arange(templates.shape[1])
-    return np.array(total)[least, columns], np.array(sizes)[least, :, columns].T
+    errors = IndependentErrors(
+        covariance_m2=np.array([((ee, en), (en, nn)) for ee, en, nn in (s.covariance_m2 for s in samples)]),
+        driven_m=np.array([each.driven_m for each in samples]),
+        renewed_m=_renewed_m(samples),
+    )
+    fix_m2 = np.repeat([each.fix_sigma_m**2 for each in samples], 2)
+    statistic, size = np.full(2 * len(samples) - 1, np.inf), np.zeros((2 * len(samples) - 1, 2))
+    for model in errors.models():
+        covariance_m2 = model + rules.common_sigma_m**2 * np.eye(2)[:, None, :]
+        n = len(fix_m2)
+        joint: Floats = covariance_m2.reshape(n, n) + np.diag(fix_m2)
+        inverse: Floats = np.asarray(np.linalg.inv(joint), dtype=np.float64)
+        by_model, sizes = _of_templates(inverse.reshape(covariance_m2.shape), seen_m, time_s)
+        less = by_model < statistic
+        statistic[less], size[less] = by_model[less], sizes[less]
+        if float(statistic.max()) < rules.least_chi2:
+            break
+    return statistic, size
 
 
-def _distances_with_evidence(samples: list[_Sample]) -> Floats:
-    """Way (n - 1,) since the evidence before, where a sample has new evidence; else 0."""
-    distances_m, last_m = np.zeros(len(samples) - 1), samples[0].driven_m
-    for k, (before, sample) in enumerate(itertools.pairwise(samples)):
-        if sample.evidence_ns is not None and sample.evidence_ns != before.evidence_ns:
-            distances_m[k], last_m = sample.driven_m - last_m, sample.driven_m
-    return distances_m
+def _of_templates(inverse: Floats, seen_m: Floats, time_s: Floats) -> tuple[Floats, Floats]:
+    """T and size of all templates, by sums over the samples since each; `inverse` (n, 2, n, 2)."""
+    weighted = np.einsum("iajb,jb->ia", inverse, seen_m)
+    by_time = inverse * time_s[:, None, None, None]
+    constant, mixed, grown = (_sums_since(each) for each in (inverse, by_time, by_time * time_s[:, None]))
+    first, moment = (np.cumsum(each[::-1], axis=0)[::-1] for each in (weighted, weighted * time_s[:, None]))
+    t = time_s[:-1, None]
+    m = t[:, :, None]
+    growing = grown[:-1] - m * (mixed[:-1] + mixed[:-1].transpose(0, 2, 1)) + m * m * constant[:-1]
+    a = np.concatenate((constant, growing))
+    b = np.concatenate((first, moment[:-1] - t * first[:-1]))
+    size = np.linalg.solve(a, b[:, :, None])[:, :, 0]
+    return np.einsum("ka,ka->k", b, size), size
 
 
-def _error_covariance(
-    variance_m2: Floats, step_m: Floats, renewal: tuple[float, float], *, coherent: bool
-) -> Floats:
-    """(n, n) of an independent position's errors along one axis; `step_m` (n - 1,) driven that count."""
-    growth_m2_m, least_m = renewal
-    length_m = np.maximum(0.5 * (variance_m2[1:] + variance_m2[:-1]) / growth_m2_m, least_m)
-    renewed = np.concatenate(((0.0,), np.cumsum(step_m / length_m)))
-    if coherent:
-        sigma_m = np.sqrt(variance_m2)
-        covariance: Floats = np.outer(sigma_m, sigma_m)
-    else:
-        covariance = np.minimum(variance_m2[:, None], variance_m2[None, :])
-    covariance *= np.exp(-np.abs(renewed[:, None] - renewed[None, :]))
-    return covariance
+def _sums_since(terms: Floats) -> Floats:
+    """Of terms (n, 2, n, 2) the sums over both samples from k on, (n, 2, 2)."""
+    sums = np.cumsum(np.cumsum(terms[::-1, :, ::-1], axis=0), axis=2)[::-1, :, ::-1]
+    n = np.arange(len(terms))
+    since: Floats = sums[n, :, n, :]
+    return since
+
+
+def _renewed_m(samples: list[_Sample]) -> Floats:
+    """Way (n,) at the evidence before each sample."""
+    renewed_m = np.zeros(len(samples))
+    for k, (before, sample) in enumerate(itertools.pairwise(samples), start=1):
+        is_new = sample.evidence_ns is not None and sample.evidence_ns != before.evidence_ns
+        renewed_m[k] = sample.driven_m if is_new else renewed_m[k - 1]
+    return renewed_m
