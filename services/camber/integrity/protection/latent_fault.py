@@ -5,8 +5,8 @@ The hypothesis fades as episodes of wrong fixes end, which a pose that has been 
 matching agrees with the pose place after place.
 
 How far off such a fix may be depends on how well the pose was known then: metres at the start, centimetres later. Both
-are kept, by classes of the offset's variance, a power of two each and rounded up. One variance for all would be that of
-the many narrow ones; what reaches beyond the alert limit at a risk of 1e-7 are the few wide ones.
+are kept, by classes of the offset's variance, four to a factor of two, and rounded up. One variance for all would be
+that of the many narrow ones; what reaches beyond the alert limit at a risk of 1e-7 are the few wide ones.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.pose import Pose
 
 _MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset of the latent fault
-_LEAST_CLASS = -8
-"""Chosen: variances up to 2⁻⁸ m², σ 6 cm, are one class; it is what a right fix is off by."""
+_CLASSES = 4
+"""To a factor of two of the variance. Chosen: 9 % of σ is the most that rounding adds."""
+_LEAST_M2 = 2.0**-8
+"""Chosen: variances up to it, σ 6 cm, are one class; it is what a right fix is off by."""
 _LEAST_ODDS = 1e-14
 """Chosen: a ten-millionth of an integrity risk of 1e-7; what is less likely is not kept."""
 
@@ -107,8 +109,8 @@ class LatentFaultHypothesis:
         ]
         return replace(self, parts=tuple(parts))
 
-    def components(self, share: float) -> tuple[MixtureComponent, ...]:
-        """What was pulled along, `share` of its odds as weights."""
+    def components(self, share: float, least: float = 0.0) -> tuple[MixtureComponent, ...]:
+        """What was pulled along, `share` of its odds as weights; those of `least` or less are left out."""
         return tuple(
             MixtureComponent(
                 weight=share * part.odds,
@@ -117,7 +119,7 @@ class LatentFaultHypothesis:
                 is_latent=True,
             )
             for part in self.parts
-            if share * part.odds > 0.0
+            if share * part.odds > least
         )
 
 
@@ -136,10 +138,10 @@ def _by_class(parts: Sequence[LatentFaultPart]) -> tuple[LatentFaultPart, ...]:
     for part in parts:
         if not part.odds > _LEAST_ODDS:
             continue
-        number = math.ceil(math.log2(max(part.horizontal_m2, 2.0**_LEAST_CLASS)))
+        number = math.ceil(_CLASSES * math.log2(max(part.horizontal_m2, _LEAST_M2)))
         before = classes.get(number)
         if before is None:
-            classes[number] = replace(part, horizontal_m2=2.0**number)
+            classes[number] = replace(part, horizontal_m2=2.0 ** (number / _CLASSES))
             continue
         odds = before.odds + part.odds
         classes[number] = replace(

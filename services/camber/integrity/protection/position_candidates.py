@@ -36,6 +36,8 @@ from camber.schemas.base import Covariance3
 Source = Literal["rtk", "doppler", "sensors", "scan_match"]
 GeodeticPosition = tuple[float, float, float | None]
 
+_NEGLIGIBLE = 1e-4
+"""Of the integrity risk. Chosen: what is less likely has no part of its own, it counts as not bounded."""
 UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
 _MOST_LOG_ODDS = 30.0  # chosen: odds of 1e13 are certainty in floats, and exp does not overflow
 
@@ -78,10 +80,11 @@ def confirmed_fix(
     remaining_share = before.remaining_share(fix.time_ns, rules.wrong_fix)
     pulled = remaining_share * before.odds
     total = 1.0 + odds + pulled
+    latent = before.components(remaining_share / total, _NEGLIGIBLE * rules.integrity_risk)
     parts = (
         MixtureComponent(weight=1.0 / total, horizontal_m2=_horizontal(covariance), up_m2=covariance[5]),
         *(one for part in wrong for one in road_components(part, part.weight * odds / total, rules)),
-        *(widened(part, covariance) for part in before.components(remaining_share / total)),
+        *(widened(part, covariance) for part in latent),
     )
     probability = (odds + pulled) / total
     candidate = PositionCandidate(
@@ -91,7 +94,7 @@ def confirmed_fix(
         covariance_enu_m2=covariance,
         yaw_rad=judgement.pose.yaw_rad if judgement.pose is not None else None,
         # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
-        mixture=ErrorMixture(parts, probability * rules.pose_fault_prior),
+        mixture=ErrorMixture(parts, probability * rules.pose_fault_prior + _left_out(pulled / total, latent)),
         wrong=probability,
         up_by_road_m=(wrong[0].mean_m[2], wrong[0].up_m2),
         fix_id=fix.fix_id,
@@ -148,10 +151,12 @@ def of_pose(
     )
     parts: tuple[MixtureComponent, ...] = road_components(alone, 1.0, levels)
     wrong: float | None = None
+    lost = levels.pose_fault_prior
     if rests_on_fixes(pose):
         total = 1.0 + latent_fault.odds
         wrong = latent_fault.odds / total
-        pulled = latent_fault.components(1.0 / total)
+        pulled = latent_fault.components(1.0 / total, _NEGLIGIBLE * levels.integrity_risk)
+        lost += _left_out(wrong, pulled)
         parts = (
             *road_components(alone, 1.0 - wrong, levels),
             *(one for part in pulled for one in _with_pose(part, alone, levels)),
@@ -164,10 +169,15 @@ def of_pose(
         geodetic=(pose.latitude_rad, pose.longitude_rad, height_m),
         covariance_enu_m2=(ee, en, 0.0, nn, 0.0, up_m2),
         yaw_rad=pose.yaw_rad,
-        mixture=ErrorMixture(parts, levels.pose_fault_prior),
+        mixture=ErrorMixture(parts, lost),
         wrong=wrong,
         up_by_road_m=(0.0, alone.up_m2),
     )
+
+
+def _left_out(probability: float, latent: tuple[MixtureComponent, ...]) -> float:
+    """The probability of latent faults that have no part of their own."""
+    return max(probability - sum(part.weight for part in latent), 0.0)
 
 
 def _with_pose(

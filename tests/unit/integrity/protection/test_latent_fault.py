@@ -71,7 +71,8 @@ def test_the_classes_of_a_minute_are_few():
     rng, latent_fault = np.random.default_rng(1), NOTHING
     for k in range(1, 600):
         latent_fault = latent_fault.after(at(k), 1e-3, [off(s) for s in rng.uniform(0.02, 3.0, 2)], RULES)
-    assert len(latent_fault.parts) <= 13
+    assert len(latent_fault.parts) <= 4 * 13
+    assert len(latent_fault.components(1.0, 1e-4)) < len(latent_fault.parts)
 
 
 def test_a_match_refutes_what_is_wide_compared_with_it_and_says_nothing_of_the_rest():
@@ -88,5 +89,6 @@ def test_a_match_refutes_what_is_wide_compared_with_it_and_says_nothing_of_the_r
 
 def test_at_first_fixes_that_are_not_known_may_be_near_or_far():
     far, near = LatentFaultHypothesis.initial(RULES).parts
-    assert (far.horizontal_m2, near.horizontal_m2) == (128.0, 1.0)
+    assert far.horizontal_m2 == pytest.approx(100.0, rel=0.2)
+    assert near.horizontal_m2 == 1.0
     assert far.odds / near.odds == pytest.approx(0.3 / 0.7)
