@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -58,6 +59,7 @@ class LiveState:
     raster: str | None = None
     notes: tuple[str, ...] = ()
     browsers: int = 0
+    _status: tuple[float, str] = (-1.0, "")
     _batches: OrderedDict[tuple[Cursor, int], tuple[bytes | None, Cursor]] = field(
         default_factory=OrderedDict
     )
@@ -91,6 +93,13 @@ class LiveState:
             "health": None if self.health is None else self.health.view,
             "vehicles": [] if self.health is None else self.health.vehicles,
         }
+
+    def status_text(self) -> str:
+        """`status` as JSON, made once for all browsers of a batch."""
+        now_s = time.monotonic()
+        if now_s - self._status[0] >= 0.5 * PERIOD_S:
+            self._status = now_s, json.dumps(self.status())
+        return self._status[1]
 
     def fleet(self, number: int) -> tuple[str | None, int]:
         """All vehicles, as JSON, where something has come since this number; and the number now."""
@@ -196,7 +205,7 @@ async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None
         fleet, number = state.fleet(number)
         if fleet is not None:
             await websocket.send_text(fleet)
-        newest = json.dumps(state.status())
+        newest = state.status_text()
         if newest != status:
             status = newest
             await websocket.send_text(status)
