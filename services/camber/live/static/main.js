@@ -12,6 +12,7 @@ import { savePicture, saveTable } from "./exports.js";
 
 const EVERY_MS = 100; // as often as batches come
 const EVERY_LONG_MS = 400; // of a long time nothing moves within a pixel
+const MARGIN_MS = 10; // batches and frames do not come at exact times
 const SLOW_MS = 1000;
 const LONG_S = 900;
 
@@ -56,7 +57,13 @@ addEventListener("keydown", event => {
 });
 
 let dirty = false, drawn = 0, slow = 0, before = performance.now(), whole = false;
-store.addEventListener("rows", () => { dirty = true; store.arrived = Date.now() / 1000; showWhole(); });
+store.addEventListener("rows", () => {
+  dirty = true;
+  store.arrived = Date.now() / 1000;
+  showWhole();
+  // At once, and not in the next frame: the map then draws in that frame what would come a frame later.
+  if (view.live && view.running) update(performance.now());
+});
 store.addEventListener("status", showWhole);
 store.addEventListener("greeting", () => { whole = false; });
 
@@ -68,16 +75,20 @@ function showWhole() {
   map.fitWhole();
 }
 
-function frame(now) {
+function update(now) {
   const shown = view.end;
   view.tick((now - before) / 1000);
   before = now;
   const every = view.span > LONG_S ? EVERY_LONG_MS : EVERY_MS;
-  if ((dirty || view.end !== shown) && now - drawn >= every) {
-    dirty = false;
-    drawn = now;
-    view.dispatchEvent(new Event("view"));
-  } else if (view.end !== shown) dirty = true;
+  dirty ||= view.end !== shown;
+  if (!dirty || now - drawn < every - MARGIN_MS) return;
+  dirty = false;
+  drawn = now;
+  view.dispatchEvent(new Event("view"));
+}
+
+function frame(now) {
+  update(now);
   if (now - slow >= SLOW_MS) { slow = now; view.dispatchEvent(new Event("slow")); }
   requestAnimationFrame(frame);
 }
