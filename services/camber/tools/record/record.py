@@ -1,4 +1,4 @@
-"""`camber record`: record the messages on a vehicle's bus, byte for byte, into MCAP files with schemas.
+"""`camber record`: record the messages on a vehicle's bus into MCAP files that other programs read.
 
 SIGTERM or SIGINT ends the recording and closes the file. After a kill or a power cut a file can be read up to its last
 complete chunk (256 kB, or 10 s).
@@ -14,6 +14,9 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from camber.road_map.release import open_release
+from camber.road_map.road_columns import ReleaseError
+from camber.road_map.road_drawing import draw_roads
 from camber.runtime.raw_subscription import RawSubscription
 from camber.runtime.session import BusError
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
@@ -53,7 +56,11 @@ def main(argv: Sequence[str]) -> int:
         free_bytes=round(args.leave_mb * _MB),
     )
     try:
-        files = RecordingFiles(args.out, settings.vehicle, limits)
+        roads = None if args.map is None else draw_roads(open_release(args.map).road_links())
+        files = RecordingFiles(args.out, settings.vehicle, limits, roads=roads)
+    except ReleaseError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"{_PROG}: --out {args.out}: {error.strerror or error}", file=sys.stderr)
         return 2
@@ -126,6 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--channels", metavar="A,B", help="record only these (default: all but sweeps)")
     add("--without", metavar="A,B", help="omit these channels")
     add("--sweeps", action="store_true", help="record sweeps too, about 1 MB each")
+    add("--map", type=Path, metavar="DIR", help="release of the map, whose roads each file then shows")
     add("--duration", type=above_0, metavar="S", help="stop after S seconds")
     add_with_default(parser, "--max-mb", 1024.0, "maximum size of a file", type=mb, metavar="MB")
     add("--max-minutes", type=above_0, metavar="MIN", help="maximum duration of a file")

@@ -14,6 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from camber.formats.drive.recorder import Recorder
+from camber.formats.foxglove.drawings import Drawing
+from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 from camber.runtime.raw_subscription import RawSample
 
 SUFFIX = ".mcap"
@@ -38,12 +40,15 @@ class RecordingFiles:
     where the first file cannot be created.
     """
 
-    def __init__(self, folder: Path, prefix: str, limits: RecordingLimits) -> None:
+    def __init__(
+        self, folder: Path, prefix: str, limits: RecordingLimits, *, roads: Drawing | None = None
+    ) -> None:
         self.written = self.dropped = self.malformed = 0
         self.problem: str | None = None
         self.by_channel: Counter[str] = Counter()
         self.files: list[Path] = []
         self._folder, self._prefix, self._limits = folder, prefix, limits
+        self._roads = roads  # at the beginning of each file
         self._recorder: Recorder | None = None
         self._began_s = self._flushed_s = 0.0
         folder.mkdir(parents=True, exist_ok=True)
@@ -88,6 +93,10 @@ class RecordingFiles:
                 raise
             self.problem = f"{self._folder}: {error.strerror or error}"
             return
+        if self._recorder is not None and self._roads is not None:
+            # The clock of a machine that has just started may say 1970.
+            time_ns = gps_ns_from_unix_ns(max(arrival_ns, UNIX_OF_GPS_EPOCH_NS))
+            self._recorder.draw(self._roads, time_ns=time_ns, arrival_ns=arrival_ns)
         self._began_s = self._flushed_s = now_s
         self._delete_oldest()
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.recording import Recorded, read_recording
+from camber.formats.foxglove.drawings import Drawing
 from camber.runtime.raw_subscription import RawSample
 from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
@@ -163,6 +164,30 @@ def test_what_was_dropped_before_stands_in_the_file(tmp_path: Path) -> None:
     with files.files[0].open("rb") as stream:
         _, metadata = [item.metadata for item in make_reader(stream).iter_metadata()]
     assert metadata["dropped"] == "7"
+
+
+def test_each_file_begins_with_the_roads_of_the_map(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    limits, roads = RecordingLimits(file_s=10.0), Drawing("/map/roads", "GeoJSON", b"")
+    files = RecordingFiles(tmp_path, "car", limits, roads=roads)
+    for n in range(3):
+        files.write(motions(10 * n, 10), now_s=11.0 * n)
+    files.close()
+    assert len(files.files) == 3
+    for path in files.files:
+        with path.open("rb") as stream:
+            read = [
+                (channel.topic, message.log_time)
+                for _, channel, message in make_reader(stream).iter_messages()
+            ]
+        assert [topic for topic, _ in read].count("/map/roads") == 1
+        (time_ns,) = [log_ns for topic, log_ns in read if topic == "/map/roads"]
+        assert abs(time_ns - UNIX) < 60 * 10**9
+
+
+def test_a_map_that_is_none_is_wrong_usage(tmp_path: Path, refused: Refused) -> None:
+    assert refused(main, "--out", tmp_path, "--map", tmp_path / "nosuch").startswith("camber record: ")
 
 
 def test_a_folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
