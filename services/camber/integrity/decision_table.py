@@ -305,4 +305,5 @@ def decide(tests: FixTests) -> FixJudgement:
         antenna=tests.inputs.antenna,
         cause=cause,
         trials=tests.trials,
+        off_road_since_ns=tests.off_road_since_ns if rule.compared else None,
     )

@@ -91,4 +91,5 @@ class Judge:
         if judgement.confirmed and judgement.comparison is not None:
             wrong = self.rules.levels.wrong_fix
             odds = odds_of(judgement.comparison, wrong, fix.satellites, judgement.trials)
-        self._state.carried.settle(fix, pose, odds)
+        off_road = judgement.off_road_since_ns is not None
+        self._state.carried.settle(fix, pose, odds, off_road=off_road)

@@ -19,7 +19,8 @@ class FixJudgement:
     """The judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as they were used.
 
     `trials`: number of estimates that were judged, of which this is the last. `testable`: False where the fix itself
-    was rejected (stale, not fixed, …), so that the history ignores it.
+    was rejected (stale, not fixed, …), so that the history ignores it. `off_road_since_ns`: when the run of fixes
+    that it goes on from began, where a height of them has contradicted the road.
     """
 
     fix: Fix
@@ -35,6 +36,7 @@ class FixJudgement:
     cause: Cause = "none"
     trials: int = 1
     testable: bool = True
+    off_road_since_ns: int | None = None
 
     @property
     def confirmed(self) -> bool:

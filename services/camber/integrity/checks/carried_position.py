@@ -71,12 +71,16 @@ class _Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """Fixes that move with the vehicle: the carried position as seen from the first, the last one, the pose then."""
+    """Fixes that move with the vehicle: the carried position as seen from the first, the last one, the pose then.
+
+    `off_road`: has the height of one of them contradicted the road?
+    """
 
     begun_ns: int
     begun: _Place
     last: Fix
     pose: Pose
+    off_road: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +162,14 @@ class CarriedPosition:
             return False
         return begun_ns > base.confirmed_ns or self._held_back_ns[0] < begun_ns <= self._held_back_ns[1]
 
-    def settle(self, fix: Fix, pose: Pose, odds: float | None) -> None:
+    def off_road_since_ns(self, fix: Fix, pose: Pose, *, off_road: bool) -> int | None:
+        """When the run of a fix began, where a height of it has contradicted the road; `off_road`: that of the fix."""
+        run = self._continued(fix, pose)
+        if run is None:
+            return fix.time_ns if off_road else None
+        return run.begun_ns if off_road or run.off_road else None
+
+    def settle(self, fix: Fix, pose: Pose, odds: float | None, *, off_road: bool = False) -> None:
         """After the final verdict on a fix with a covariance; `odds` that it is wrong where it is confirmed.
 
         `pose` is the localizer's, not an improved one.
@@ -178,7 +189,7 @@ class CarriedPosition:
             return
         if run is None:
             run = _Run(begun_ns=fix.time_ns, begun=place, last=fix, pose=pose)
-        self._run = run = replace(run, last=fix, pose=pose)
+        self._run = run = replace(run, last=fix, pose=pose, off_road=off_road or run.off_road)
         by_run = replace(run.begun, variance_m2=self._variance_by_run_m2(run))
         if by_run.variance_m2 <= place.variance_m2 or run.begun_ns == fix.time_ns:
             self._base = replace(self._base, fix=fix, place=by_run)

@@ -241,6 +241,14 @@ class FixTests:
         return self.is_unverified_by_independent or self.began_elsewhere
 
     @property
+    def off_road_since_ns(self) -> int | None:
+        """When the run of the fix began, where its height or that of one before it has contradicted the road."""
+        limits = limits_after(self.determination, self.trials)
+        height_m, sigma_m = self.comparison.height_m, self.comparison.height_sigma_m
+        off_road = height_m is not None and height_m * height_m > limits.height[1] * sigma_m * sigma_m
+        return self._state.carried.off_road_since_ns(self.fix, self.pose, off_road=off_road)
+
+    @property
     def has_pose_of_fixes(self) -> bool:
         """Have fixes anchored the pose, so that agreement with it is that of fixes with one another?"""
         return rests_on_fixes(self.pose)

@@ -126,7 +126,8 @@ def updated_dispute(
 ) -> PoseDispute | None:
     """What is disputed after a judgement: a fix that agrees with the pose ends it, one that was not compared does not.
 
-    Those that contradict in height too, or by their own account, are wrong by themselves and say nothing of the pose.
+    Those that contradict in height too, or by their own account, are wrong by themselves and say nothing of the pose,
+    nor do others of the same run: a dispute that it began ends.
     """
     result, fix = judgement.comparison, judgement.fix
     if judgement.confirmed:
@@ -135,6 +136,9 @@ def updated_dispute(
         return before
     if result.position == AGREES:
         return None
+    wrong_since_ns = judgement.off_road_since_ns
+    if wrong_since_ns is not None:
+        return None if before is None or before.begun_ns >= wrong_since_ns else before
     # Where the map knows no road under the fix, its height speaks neither for it nor against it.
     if result.outcome != POSITION_CONTRADICTS and judgement.reason != "position_disagrees":
         return before

@@ -221,6 +221,17 @@ def test_nothing_is_carried_before_a_fix_is_confirmed_or_where_nothing_carries_i
     assert off(carried, 30)[1] == 3.0
 
 
+def test_a_run_is_off_the_road_since_its_begin_once_a_height_of_it_is():
+    carried = carrying()
+    assert carried.off_road_since_ns(fix(3, north_m=2.0), pose(3), off_road=False) is None
+    assert carried.off_road_since_ns(fix(3, north_m=2.0), pose(3), off_road=True) == at(3)
+    carried.settle(fix(3, north_m=2.0), pose(3), None)
+    assert carried.off_road_since_ns(fix(4, north_m=2.0), pose(4), off_road=False) is None
+    carried.settle(fix(4, north_m=2.0), pose(4), None, off_road=True)
+    assert carried.off_road_since_ns(fix(5, north_m=2.0), pose(5), off_road=False) == at(3)
+    assert carried.off_road_since_ns(fix(5), pose(5), off_road=False) is None
+
+
 def test_what_is_dated_ahead_is_dropped():
     carried = carrying()
     carried.forget_after(at(2))

@@ -86,7 +86,29 @@ def test_a_fix_that_contradicts_in_height_too_is_wrong_by_itself():
     off = examined(east_m=5.0, up_m=1.0)
     assert off.reason == "height_and_position_disagree"
     assert position(after(off)) == UNDISPUTED
-    assert not position(after(examined(east_m=5.0), off)).usable
+    later = examined(1.0, east_m=5.0, up_m=1.0)
+    assert not position(after(examined(east_m=5.0), later), epoch=2).usable
+
+
+def test_a_dispute_ends_where_another_fix_of_its_run_contradicts_in_height_and_that_run_begins_none_again():
+    judge, positions = SettlingJudge(RULES), after()
+    usable = []
+    wrong = [
+        (5.0, up_m) for up_m in (0.0, 0.0, 0.2, 0.45, 0.7, 0.45, 0.2, 0.0)
+    ]  # over a road that falls and rises
+    for epoch, (east_m, up_m) in enumerate([(0.0, 0.0)] * 3 + wrong):
+        judge.latest.add_pose(sharp_pose(epoch))
+        judge.latest.set_antenna_height(antenna(epoch))
+        positions.update_dispute(judge.judge(fix(epoch, east_m=east_m, up_m=up_m), at(epoch), ALL))
+        usable.append(position(positions, epoch).usable)
+    assert usable == [True] * 3 + [False] * 3 + [True] * 5
+
+
+def test_a_fix_between_agreement_and_contradiction_leaves_it_as_it_was():
+    unverified = examined(1.0, east_m=0.4)
+    assert unverified.reason == "position_unverified"
+    assert position(after(unverified), epoch=2) == position(after(), epoch=2)
+    assert not position(after(examined(east_m=5.0), unverified), epoch=2).usable
 
 
 def test_a_fix_that_was_not_compared_leaves_it_as_it_was():
