@@ -39,6 +39,7 @@ _LEAST_SHOWN_CHI2 = (
 )
 _LEAST_FIX_SIGMA_M = 0.02  # of two seconds of fixes; chosen: whatever a receiver claims
 _NEAR_SIGMAS = 2.0  # chosen: 86 % of two-dimensional errors lie within it
+_FIT_SIGMAS = 2.0  # of χ² with 2n degrees of freedom above its mean; chosen: 98 % of right models fit so
 _OVER_CHI2 = 4.0  # in favour of no fault: likelihoods of 7 to 1; chosen: an error of 2 σ ends none
 _WAVERING = 3  # samples without the offset that end it; chosen: one wrong fix is two at most
 FaultKind = Literal["base", "drift"]
@@ -52,7 +53,7 @@ class IndependentOffsetRules:
     after `least_s`, longer than a wrong fix lasts whose integers hold, or after `least_far_s` beyond `far_m`, where no
     wrong integers reach; a growing one after `least_drift_s`, from `least_drift_m`, where one wrong fix is no slope.
     `margin` is the difference in T that distinguishes the two: 3 σ. `coherent` is the share of the samples that must
-    lie within half of what is named, or within two σ of it.
+    lie within half of what is named, or within two σ of it; a drift counts too where errors explain the rest.
     """
 
     least_chi2: float = 36.0
@@ -175,7 +176,7 @@ def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> Independ
     if n < 3 or not _shows(samples[-1], rules):
         return None
     time_s = np.array([(each.time_ns - samples[-1].time_ns) / 1e9 for each in samples])
-    statistic, size = _statistics(samples, time_s, rules)
+    statistic, size, unexplained = _statistics(samples, time_s, rules)
     constant, growing = int(np.argmax(statistic[:n])), n + int(np.argmax(statistic[n:]))
     apart = statistic[growing] - statistic[constant]
     if max(statistic[constant], statistic[growing]) < rules.least_chi2 or abs(apart) < rules.margin:
@@ -191,7 +192,8 @@ def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> Independ
     else:
         long_enough = lasted_s >= rules.least_drift_s and now_m >= rules.least_drift_m
     near = _near(samples[onset:], path_m)
-    if not long_enough or not near[-1] or float(near.mean()) < rules.coherent:
+    fits = best >= n and unexplained[best] <= 2.0 * n + _FIT_SIGMAS * 2.0 * math.sqrt(n)
+    if not long_enough or not near[-1] or not (fits or float(near.mean()) >= rules.coherent):
         return None
     east_m, north_m = path_m[-1].tolist()
     growth = size[best].tolist() if best >= n else (0.0, 0.0)
@@ -227,8 +229,9 @@ def _shows(sample: _Sample, rules: IndependentOffsetRules) -> bool:
 
 def _statistics(
     samples: list[_Sample], time_s: Floats, rules: IndependentOffsetRules
-) -> tuple[Floats, Floats]:
-    """T (2n − 1,) of a vector since each sample, then of a growing one since each but the newest; sizes (2n − 1, 2).
+) -> tuple[Floats, Floats, Floats]:
+    """T (2n − 1,) of a vector since each sample, then of a growing one since each but the newest; sizes (2n − 1, 2);
+    and χ² (2n − 1,) of what each leaves unexplained.
 
     T is the least over the covariances; a covariance by which there is no fault ends the search.
     """
@@ -239,7 +242,8 @@ def _statistics(
         renewed_m=_renewed_m(samples),
     )
     fix_m2 = np.repeat([each.fix_sigma_m**2 for each in samples], 2)
-    statistic, size = np.full(2 * len(samples) - 1, np.inf), np.zeros((2 * len(samples) - 1, 2))
+    count = 2 * len(samples) - 1
+    statistic, size, unexplained = np.full(count, np.inf), np.zeros((count, 2)), np.zeros(count)
     for model in errors.models():
         covariance_m2 = model + rules.common_sigma_m**2 * np.eye(2)[:, None, :]
         n = len(fix_m2)
@@ -247,10 +251,11 @@ def _statistics(
         inverse: Floats = np.asarray(np.linalg.inv(joint), dtype=np.float64)
         by_model, sizes = _of_templates(inverse.reshape(covariance_m2.shape), seen_m, time_s)
         less = by_model < statistic
-        statistic[less], size[less] = by_model[less], sizes[less]
+        total = float(seen_m.reshape(n) @ inverse @ seen_m.reshape(n))
+        statistic[less], size[less], unexplained[less] = by_model[less], sizes[less], total - by_model[less]
         if float(statistic.max()) < rules.least_chi2:
             break
-    return statistic, size
+    return statistic, size, unexplained
 
 
 def _of_templates(inverse: Floats, seen_m: Floats, time_s: Floats) -> tuple[Floats, Floats]:

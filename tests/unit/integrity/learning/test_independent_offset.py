@@ -85,6 +85,21 @@ def test_fixes_led_away_are_named_in_time_with_their_rate(rate_m_s, sigma_m, mos
         assert named.describe().startswith("fixes are led away by ")
 
 
+def test_an_error_of_the_independent_position_when_the_drift_begins_does_not_delay_its_naming():
+    """Differences begin at 2.6 σ and turn away: they miss the path by more than half of it, but the model fits."""
+    named = {}
+    for with_drift in (True, False):
+        offsets = IndependentOffsets(RULES)
+        for number in range(44):
+            since_s = 2.0 * max(number - 30, 0) if with_drift else 0.0
+            one = residual(20 * number, independent=(2.6, 0.3 * since_s, 1.0, 0.0, 0.36, 0.02))
+            offsets.update(replace(one, evidence_ns=one.time_ns))
+            if offsets.fault is not None:
+                named.setdefault(with_drift, (since_s, offsets.fault.kind))
+    assert named == {True: (named[True][0], "drift")}
+    assert named[True][0] <= 20.0
+
+
 def test_where_sigma_does_not_allow_it_nothing_is_named():
     drive = replace(STEADY, seconds=300.0, errors="constant", sigma_m=3.0)
     assert first_named(drive, 1, fault(drive, (0.0, 1.7))) is None
