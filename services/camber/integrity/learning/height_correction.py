@@ -22,8 +22,9 @@ from typing import Literal
 import numpy as np
 
 from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.learning.cell_offset import CauseRules
 from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
-from camber.integrity.learning.offset_causes import CauseRules, Diagnosis, OffsetCauses, RoadChange
+from camber.integrity.learning.offset_causes import Diagnosis, OffsetCauses, RoadChange
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ReferenceKey, ResidualCell
 from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.integrity.learning.offset_causes import NO_OFFSET, CauseRules, OffsetCauses, RoadChange
+from camber.integrity.learning.cell_offset import CauseRules
+from camber.integrity.learning.offset_causes import NO_OFFSET, OffsetCauses, RoadChange
 from camber.road_map.map_error_model import MAP_ERRORS
 from support.residual_drives import KEY, START_NS, residual
 

@@ -9,15 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camber.integrity.learning.cell_offset import CauseRules, _along
 from camber.integrity.learning.height_correction import Learning, LearningRules
-from camber.integrity.learning.offset_causes import (
-    ISSUE_CODES,
-    NO_OFFSET,
-    CauseRules,
-    OffsetCauses,
-    RoadChange,
-    _along,
-)
+from camber.integrity.learning.offset_causes import ISSUE_CODES, NO_OFFSET, OffsetCauses, RoadChange
 from camber.integrity.learning.residuals import cell_of
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
 
