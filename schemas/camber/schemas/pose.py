@@ -48,6 +48,8 @@ HorizontalBasis = Literal["none", "scan_match", "given", "relief", "odometry", "
 """What a horizontal position rests on. Only `scan_match`, `given` and `relief` have no part of a satellite position;
 `odometry`: of one of these, longer ago than it counts as fresh."""
 IndependentBasis = Literal["scan_match", "given", "relief"]
+Offset2 = tuple[Annotated[float, Field(ge=-1e4, le=1e4)], Annotated[float, Field(ge=-1e4, le=1e4)]]
+"""East, north."""
 
 
 class RoadPatch(Model):
@@ -105,6 +107,21 @@ class IndependentPosition(Model):
     distance_m: Sigma = Field(description="driven since the last evidence")
 
 
+class FixesOffset(Model):
+    """How far fixes are off the map by their heights alone, over the way that they have shown: fix less true place.
+
+    Their own east and north are the shape of the track, which the road's relief below it shifts: neither odometry nor
+    the pose has a part in it, but which road is driven.
+    """
+
+    begin_time_ns: TimeNs = Field(description="of the window")
+    end_time_ns: TimeNs = Field(description="of the window")
+    east_north_m: Offset2 = Field(description="on average over the window")
+    covariance_east_north: Covariance2 = Field(description="(ee, en, nn) in m²")
+    growth_east_north_m_s: Offset2 = Field(description="of the offset within the window")
+    growth_covariance_east_north: Covariance2 = Field(description="(ee, en, nn) in m²/s²")
+
+
 class Pose(Message):
     """Approximate pose of the vehicle and of its antenna, owing nothing to unconfirmed satellite positions."""
 
@@ -134,6 +151,9 @@ class Pose(Message):
         None, description="the position without any satellite's horizontal position, where there is one"
     )
     road: Road
+    fixes_offset: FixesOffset | None = Field(
+        None, description="offset of the fixes by heights over their own track, where heights determine it"
+    )
 
 
 class ScanMatch(Message):

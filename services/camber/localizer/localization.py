@@ -19,6 +19,7 @@ from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.start_from_fixes import StartFromFixes
+from camber.localizer.fix_track import FixTrack
 from camber.localizer.given_pose import GivenPose
 from camber.localizer.horizontal_basis import horizontal_basis
 from camber.localizer.independent_localization import IndependentLocalization, RepeatedLinksQuery
@@ -83,6 +84,7 @@ class Localization:
         """The position in which no fix's east and north has a part."""
         self._filter.use_sensors_of(self.independent.position.filter)
         self._relief: ReliefLocalization | None = None
+        self._fix_track: FixTrack | None = None
         if options.relief is not None:
             self._relief = ReliefLocalization(
                 options.relief,
@@ -91,6 +93,7 @@ class Localization:
                 map_queries=map_queries,
                 diagnostics=diagnostics,
             )
+            self._fix_track = FixTrack(options.relief, antenna_z_m=options.antenna_z_m)
         self._road = RoadBelowAntenna(options.road_sigma_limit_m, map_queries, diagnostics)
         self.matcher: ScanMatcher | None = None
         """The scan matcher, for pictures of its matches; None where sweeps are not used."""
@@ -129,6 +132,8 @@ class Localization:
             return
         if self._relief is not None:
             self._relief.on_fix(fix, self._filter)
+        if self._fix_track is not None:
+            self._fix_track.on_fix(fix, self._filter.track, self._road.last)
         if not self._filter.accepts_fixes:
             self._start.reset()
             return
@@ -196,6 +201,8 @@ class Localization:
         if self._relief is not None:
             antenna_m = estimate.east_m + east_m, estimate.north_m + north_m
             self._relief.note_road(plane, antenna_m, road)
+        if self._fix_track is not None:
+            self._fix_track.note_road(latitude_rad, longitude_rad, road)
         self._links.note_map_version(road.map_version)
         self.independent.note_map_version(road.map_version)
         if self.matcher is not None:
@@ -222,6 +229,7 @@ class Localization:
             ),
             independent=self._independent_position(time_ns),
             road=road,
+            fixes_offset=None if self._fix_track is None else self._fix_track.offset,
         )
 
     def _independent_position(self, time_ns: int) -> IndependentPosition | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.learning.fix_track_offset import TrackFaultRules
 from camber.integrity.learning.independent_offset import IndependentOffsetRules
 from camber.integrity.learning.residuals import ResidualCell
 from camber.road_map.map_error_model import MAP_ERRORS, MapErrorModel
@@ -54,6 +55,7 @@ class CauseRules:
     link_cells: int = 2
     antenna_limit_m: float = 1.0
     independent: IndependentOffsetRules = field(default_factory=IndependentOffsetRules)
+    fix_track: TrackFaultRules = field(default_factory=TrackFaultRules)
     map_errors: MapErrorModel = MAP_ERRORS
 
 

@@ -8,11 +8,12 @@ from dataclasses import replace
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.judgement import FixJudgement
+from camber.integrity.learning.fix_track_offset import JudgedTrackOffset
 from camber.integrity.learning.residuals import FixResidual, ReferenceKey
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.pose import Pose
+from camber.schemas.pose import FixesOffset, Pose
 
 _FREE_OF_THIS_FIX = ("scan_match", "given", "confirmed")
 """Such a pose owes nothing to a fix that is not confirmed yet; to those before, where no scan match holds it."""
@@ -33,6 +34,7 @@ def key_of(base: str, pose: Pose | None, antenna: AntennaHeight | None) -> Refer
 def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float | None) -> FixResidual:
     """Of a fix that was compared, whatever the verdict; `speed_m_s` of the wheels, None: not known."""
     fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
+    offset = None if pose is None else pose.fixes_offset
     residual = FixResidual(
         time_ns=fix.time_ns,
         verdict=judgement.verdict,
@@ -41,6 +43,7 @@ def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float
         speed_m_s=speed_m_s,
         key=key_of(base_of(fix), pose, antenna),
         link_id=pose.link_id if pose is not None else None,
+        track_offset=None if offset is None else track_offset_of(offset),
     )
     if pose is not None:
         residual = _with_horizontal(residual, judgement, result, pose)
@@ -88,6 +91,18 @@ def _with_horizontal(
         north_m=north_m,
         horizontal_sigma_m=sigma_m,
         anchored_ns=None if pose.mode == "scan_match" else anchored_ns,
+    )
+
+
+def track_offset_of(offset: FixesOffset) -> JudgedTrackOffset:
+    """Of a message."""
+    return JudgedTrackOffset(
+        begin_ns=offset.begin_time_ns,
+        end_ns=offset.end_time_ns,
+        east_north_m=offset.east_north_m,
+        covariance_m2=offset.covariance_east_north,
+        growth_m_s=offset.growth_east_north_m_s,
+        growth_covariance=offset.growth_covariance_east_north,
     )
 
 

@@ -4,8 +4,9 @@ All judged fixes count, also the erroneous ones: one wrong fix is a wrong fix, b
 differs by the same vector, something else is wrong.
 
 - **base** (or datum): fixes are off by one vector. Its horizontal part shows against the independent position
-  (`independent_offset`), a scan match, or, without an independent position, a pose that leans on no fix since they are
-  off. Heights that are off alike on several links by more than any antenna could be show it too.
+  (`independent_offset`), by the heights along their own track (`fix_track_offset`), against a scan match, or, without
+  an independent position, a pose that leans on no fix since they are off. Heights that are off alike on several links
+  by more than any antenna could be show it too.
 - **drift**: fixes are led away from the independent position along a growing vector.
 - **antenna**: heights are off alike on several links, and the horizontal position is seen to be right.
 - **road**: one stretch differs, the roads before and after it do not; and a fix there was verified otherwise, or
@@ -34,6 +35,7 @@ from camber.integrity.learning.cell_offset import (
     is_large,
     offset_of,
 )
+from camber.integrity.learning.fix_track_offset import TrackFaults
 from camber.integrity.learning.independent_offset import IndependentOffsets
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, distance_m
 from camber.schemas.integrity import Cause
@@ -87,6 +89,7 @@ class OffsetCauses:
         self.common = NO_OFFSET
         self.roads = {road.surface_id: road for road in roads}
         self._independent = IndependentOffsets(rules.independent)
+        self._fix_track = TrackFaults(rules.fix_track)
         self._collector = CellCollector(rules.cell_m)
         self._map_version = roads[0].map_version if roads else None
         self._seen: deque[SeenCell] = deque(maxlen=_MOST_CELLS)
@@ -109,6 +112,7 @@ class OffsetCauses:
     def update(self, residual: FixResidual, correction_m: float) -> None:
         """Take a residual, whatever its verdict; `correction_m` is that in force."""
         sampled, cell = self._independent.update(residual), self._collector.add(residual)
+        sampled = self._fix_track.update(residual.track_offset, residual.key.base) or sampled
         if cell is not None:
             self._add(cell, correction_m)
         if sampled or cell is not None:
@@ -139,8 +143,14 @@ class OffsetCauses:
         self.common = result
 
     def _current_cause(self) -> Diagnosis:
-        """What the independent position shows goes before what cells show: its vector is that of now."""
+        """What the independent position shows goes first, as its vector is that of now; then what heights show."""
         cells, fault = self._common_cause(), self._independent.fault
+        if fault is None and self._fix_track.fault is not None:
+            offset = self._fix_track.fault
+            diagnosis = Diagnosis(
+                cause=offset.kind, onset_ns=offset.begin_ns, up_m=cells.up_m, east_north_m=offset.east_north_m
+            )
+            return _with_detail(diagnosis, offset.describe())
         if fault is None:
             return cells
         diagnosis = Diagnosis(

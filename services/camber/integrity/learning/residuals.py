@@ -11,6 +11,7 @@ import statistics
 from dataclasses import dataclass
 
 from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.learning.fix_track_offset import JudgedTrackOffset
 from camber.schemas.integrity import VerdictValue
 
 _FAR_M = 1e5  # chosen: no position that is compared lies so far away
@@ -36,7 +37,7 @@ class FixResidual:
     `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
     time of the newest confirmed fix that the pose leans on, None where it leans on none. `independent` is fix less
     independent position, east and north, its covariance (ee, en, nn), and σ of the fix; `evidence_ns` is the time of
-    its last evidence. `link_id` is the road's, from
+    its last evidence; `track_offset` is that of the fixes' own track by heights. `link_id` is the road's, from
     crossing to crossing; a surface is a piece of it.
     """
 
@@ -57,6 +58,7 @@ class FixResidual:
     anchored_ns: int | None = None
     independent: tuple[float, float, float, float, float, float] | None = None
     evidence_ns: int | None = None
+    track_offset: JudgedTrackOffset | None = None
 
     @property
     def confirmed(self) -> bool:

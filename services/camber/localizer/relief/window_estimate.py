@@ -12,6 +12,7 @@ nearly the same cost make the result ambiguous. No horizontal part of a fix is u
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -75,17 +76,20 @@ def estimate_shift(
     prior: Floats,
     modes: Floats | None = None,
     max_prior_share: float = 1.0,
+    starts: Sequence[Floats] | None = None,
 ) -> ShiftEstimate | None:
     """Return the shift with least cost; None where the map covers too little of the window, or where the heights leave
     the prior more than `max_prior_share` by a first estimate at no shift.
 
     `prior` (k, k): covariance of θ about zero, east and north first. `modes` (n, 2, k - 2): displacement (m) of each
-    place by the further parameters, as of heading and wheel scale.
+    place by the further parameters, as of heading and wheel scale. `starts`, each (≤ k,): shifts to begin from; None:
+    the best of a grid, which costs as much as ten of them.
     """
     problem = _Problem(window, terrain, model, prior=prior, modes=modes)
     if problem.prior_share_unshifted() > _FIRST_ESTIMATE * max_prior_share:
         return None
-    starts = problem.best_grid_shifts()
+    if starts is None:
+        starts = problem.best_grid_shifts()
     if not starts:
         return None
     solutions = sorted((problem.solve(start) for start in starts), key=lambda solution: solution.cost)
