@@ -11,7 +11,7 @@ from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.height_residual import base_of, key_of, residual_of
 from camber.integrity.learning.residuals import ReferenceKey
-from camber.schemas.pose import IndependentPosition
+from camber.schemas.pose import FixesOffset, IndependentPosition
 from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, place, pose, road
 
 COMPARISON = FixComparison(
@@ -39,6 +39,23 @@ def residual(result=COMPARISON, speed_m_s=10.0, **changes):
     return residual_of(
         FixJudgement(verdict="confirmed", reason="none", **fields | changes), result, speed_m_s
     )
+
+
+def test_it_has_what_the_heights_along_the_fixes_own_track_say():
+    offset = FixesOffset(
+        begin_time_ns=at(-90),
+        end_time_ns=at(2),
+        east_north_m=(1.7, -0.2),
+        covariance_east_north=(0.04, 0.01, 0.09),
+        growth_east_north_m_s=(0.001, 0.002),
+        growth_covariance_east_north=(1e-6, 0.0, 2e-6),
+    )
+    of = residual(pose=SEEN.model_copy(update={"fixes_offset": offset})).track_offset
+    assert of is not None
+    assert (of.begin_ns, of.end_ns, of.east_north_m) == (at(-90), at(2), (1.7, -0.2))
+    assert (of.covariance_m2, of.growth_m_s) == ((0.04, 0.01, 0.09), (0.001, 0.002))
+    assert of.growth_covariance == (1e-6, 0.0, 2e-6)
+    assert residual().track_offset is None
 
 
 def test_it_has_the_height_difference_without_any_correction():
