@@ -41,7 +41,7 @@ def residual(result=COMPARISON, speed_m_s=10.0, **changes):
     )
 
 
-def test_it_has_what_the_heights_along_the_fixes_own_track_say():
+def test_it_has_what_the_heights_along_the_track_of_the_fixes_say():
     offset = FixesOffset(
         begin_time_ns=at(-90),
         end_time_ns=at(2),
