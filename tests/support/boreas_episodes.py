@@ -4,7 +4,7 @@ Places, heights and motion are the recording's, with errors of a car's sensors a
 map is the other day's track, its heights without any added error, so that the map's real error is the difference of the
 two days. No LiDAR. Vectors of wrong fixes are those of the simulator's ambiguity search, their episodes last 1 to 20 s.
 
-`PYTHONPATH=tests python -m support.boreas_episodes --drives 150 --processes 2` prints the figures of
+`PYTHONPATH=tests python -m support.boreas_episodes --drives 6 --processes 2` prints the figures of
 docs/theory/map-errors.md.
 """
 
