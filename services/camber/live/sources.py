@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,79 +26,15 @@ _LIMIT_BYTES = 32 << 20  # chosen: a flood must not take the machine's memory
 State = Literal["waiting", "receiving", "reading", "complete", "failed"]
 
 
-class BusSource:
-    """Reads a vehicle's channels; a flood of messages is left out, not read."""
+class ThreadedSource(ABC):
+    """Reads in a thread of its own from `start` to `end`."""
 
-    mode = "bus"
-
-    def __init__(self, settings: ServiceSettings, rows: RowWriter) -> None:
-        self.state: State = "waiting"
+    def __init__(self, name: str, state: State) -> None:
+        self.state: State = state
         self.problem = ""
-        self._settings, self._rows = settings, rows
-        self._inboxes = {name: Inbox(channel=BY_NAME[name]) for name in CHANNELS}
         self._left_out: Counter[str] = Counter()
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bus", daemon=True)
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._thread.start()
-
-    def end(self) -> None:
-        """Leave the bus."""
-        self._ended.set()
-        self._thread.join(_RETRY_S)
-
-    def left_out(self) -> dict[str, int]:
-        """How many messages are not shown, by reason."""
-        refused = sum((inbox.refused for inbox in self._inboxes.values()), Counter[str]())
-        return dict(refused + self._left_out)
-
-    def _run(self) -> None:
-        while not self._ended.is_set():
-            try:
-                self._listen()
-            except BusError as error:
-                self.state, self.problem = "waiting", str(error)
-                self._ended.wait(_RETRY_S)
-
-    def _listen(self) -> None:
-        channels = [BY_NAME[name] for name in CHANNELS]
-        with RawSubscription(
-            self._settings, channels, timeout_s=_RETRY_S, limit_bytes=_LIMIT_BYTES
-        ) as listener:
-            self.state, self.problem = "receiving", ""
-            while not self._ended.wait(_EVERY_S):
-                samples = listener.take()
-                dropped = max(len(samples) - _MOST_MESSAGES, 0)
-                self._left_out["flood"] += dropped + listener.dropped.total()
-                listener.dropped.clear()
-                for sample in samples[dropped:]:
-                    self._read(sample)
-
-    def _read(self, sample: RawSample) -> None:
-        inbox = self._inboxes[sample.channel]
-        received = inbox.open(sample.data, None)
-        if received is None:
-            return
-        message = inbox.accept(received, time.time_ns(), judge_age=False)
-        if message is not None:
-            self._rows.add(sample.channel, message)
-
-
-class RecordingSource:
-    """Reads a recording from its beginning to its end; what is damaged is left out, and named in `problem`."""
-
-    mode = "recording"
-
-    def __init__(self, path: Path, rows: RowWriter) -> None:
-        self.state: State = "reading"
-        self.problem = ""
-        self.vehicle = ""
-        self._path, self._rows = path, rows
-        self._left_out: Counter[str] = Counter()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
         """Begin to read."""
@@ -110,6 +48,90 @@ class RecordingSource:
     def left_out(self) -> dict[str, int]:
         """How many messages are not shown, by reason."""
         return dict(self._left_out)
+
+    @abstractmethod
+    def _run(self) -> None: ...
+
+
+class ListeningSource(ThreadedSource):
+    """Reads channels of the bus, and tries again where there is none; a flood of messages is left out, not read."""
+
+    def __init__(
+        self,
+        name: str,
+        settings: ServiceSettings,
+        channels: Iterable[str],
+        *,
+        every_s: float,
+        most_messages: int,
+    ) -> None:
+        super().__init__(name, "waiting")
+        self._settings, self._channels = settings, [BY_NAME[channel] for channel in channels]
+        self._every_s, self.most_messages = every_s, most_messages
+
+    def take(self, samples: list[RawSample]) -> None:
+        """Keep what the newest of these messages say."""
+        dropped = max(len(samples) - self.most_messages, 0)
+        self._left_out["flood"] += dropped
+        for sample in samples[dropped:]:
+            self._read(sample)
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            try:
+                self._listen()
+            except BusError as error:
+                self.state, self.problem = "waiting", str(error)
+                self._ended.wait(_RETRY_S)
+
+    def _listen(self) -> None:
+        with RawSubscription(
+            self._settings, self._channels, timeout_s=_RETRY_S, limit_bytes=_LIMIT_BYTES
+        ) as listener:
+            self.state, self.problem = "receiving", ""
+            while not self._ended.wait(self._every_s):
+                self.take(listener.take())
+                self._left_out["flood"] += listener.dropped.total()
+                listener.dropped.clear()
+
+    @abstractmethod
+    def _read(self, sample: RawSample) -> None: ...
+
+
+class BusSource(ListeningSource):
+    """Reads a vehicle's channels."""
+
+    mode = "bus"
+
+    def __init__(self, settings: ServiceSettings, rows: RowWriter) -> None:
+        super().__init__("bus", settings, CHANNELS, every_s=_EVERY_S, most_messages=_MOST_MESSAGES)
+        self._rows = rows
+        self._inboxes = {name: Inbox(channel=BY_NAME[name]) for name in CHANNELS}
+
+    def left_out(self) -> dict[str, int]:
+        """How many messages are not shown, by reason."""
+        refused = sum((inbox.refused for inbox in self._inboxes.values()), Counter[str]())
+        return dict(refused + self._left_out)
+
+    def _read(self, sample: RawSample) -> None:
+        inbox = self._inboxes[sample.channel]
+        received = inbox.open(sample.data, None)
+        if received is None:
+            return
+        message = inbox.accept(received, time.time_ns(), judge_age=False)
+        if message is not None:
+            self._rows.add(sample.channel, message)
+
+
+class RecordingSource(ThreadedSource):
+    """Reads a recording from its beginning to its end; what is damaged is left out, and named in `problem`."""
+
+    mode = "recording"
+
+    def __init__(self, path: Path, rows: RowWriter) -> None:
+        super().__init__("recording", "reading")
+        self.vehicle = ""
+        self._path, self._rows = path, rows
 
     def _run(self) -> None:
         try:

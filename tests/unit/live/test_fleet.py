@@ -58,7 +58,7 @@ def test_damage_floods_and_invented_names_are_counted(
     source: FleetSource, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fleet, "_MOST_VEHICLES", 3)
-    monkeypatch.setattr(fleet, "_MOST_MESSAGES", 10)
+    monkeypatch.setattr(source, "most_messages", 10)
     source.take([sample("a", b"damaged"), sample("x" * 70, position())])
     source.take([sample(f"v{k}", position(k)) for k in range(20)])
     assert source.left_out() == {"flood": 10, "undecodable": 1, "vehicles": 1 + 7}

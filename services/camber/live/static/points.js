@@ -1,7 +1,7 @@
 // Points of the map's environment, tile by tile as they come into sight: what scan matching compares with.
 
 import { colour } from "./dom.js";
-import { rgba } from "./track.js";
+import { linkedProgram, rgba, uniformPlaces } from "./track.js";
 
 const TILE_ZOOM = 16;
 const LEAST_ZOOM = 16.5; // below it points are a blur
@@ -24,15 +24,8 @@ export class PointsLayer {
   onAdd(map, gl) {
     this.map = map;
     this.gl = gl;
-    const program = this.program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    this.places = Object.fromEntries(["u_matrix", "u_size", "u_low", "u_high", "u_lower", "u_upper"].map(name => [name, gl.getUniformLocation(program, name)]));
+    const program = this.program = linkedProgram(gl, VERTEX, FRAGMENT);
+    this.places = uniformPlaces(gl, program, ["u_matrix", "u_size", "u_low", "u_high", "u_lower", "u_upper"]);
     this.attribute = gl.getAttribLocation(program, "a_point");
     map.on("moveend", () => this.fetchSeen());
   }

@@ -20,6 +20,20 @@ void main() {
   colour = vec4(v_colour.rgb * alpha, alpha);
 }`;
 
+export function linkedProgram(gl, vertex, fragment) {
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  return program;
+}
+
+export const uniformPlaces = (gl, program, names) => Object.fromEntries(names.map(name => [name, gl.getUniformLocation(program, name)]));
+
 export class TrackLayer {
   // `code(table, index)` is the place of a row's colour among `colours`, below 0: not drawn; `emphasis` is drawn last.
   constructor(id, { table, code, colours, size, emphasis = -1, range }) {
@@ -31,15 +45,8 @@ export class TrackLayer {
 
   onAdd(map, gl) {
     this.map = map;
-    const program = this.program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    this.places = Object.fromEntries(["u_matrix", "u_size", "u_colours", "u_alpha", "u_only"].map(name => [name, gl.getUniformLocation(program, name)]));
+    const program = this.program = linkedProgram(gl, VERTEX, FRAGMENT);
+    this.places = uniformPlaces(gl, program, ["u_matrix", "u_size", "u_colours", "u_alpha", "u_only"]);
     this.buffer = gl.createBuffer();
     this.capacity = 0;
     this.uploaded = 0;
