@@ -37,13 +37,10 @@ from camber.validation.common_faults.fix_series import STREET
 from camber.validation.common_faults.wrong_episodes import WrongEpisodes, wrong_episodes
 from camber.validation.protection import positions_by_epoch
 from camber.validation.reference_trajectory import truth_of
-from support.boreas_localization import FRAME
-from support.boreas_relief import DAYS, MAP_SIGMA_M, folder
+from support.boreas_localization import BOTH_DAYS, FRAME, ORIGIN_M, START_NS
+from support.boreas_relief import MAP_SIGMA_M, folder
 
 Floats = NDArray[np.float64]
-BOTH_DAYS = (DAYS, DAYS[::-1])
-_ORIGIN_M = (622_000.0, 4_848_500.0)  # of the plane that stands for the recording's UTM grid
-_START_NS = 1_300_000_000 * 1_000_000_000
 _ANTENNA_M = 1.8  # any: it is taken off the heights of one day and added on the other
 _FIXES_EVERY = 2  # rows of 10 Hz
 _FIRST_S, _LENGTH_S = 60.0, (1.0, 20.0)
@@ -80,13 +77,13 @@ def truth(day: str) -> TruthTable:
     path = folder()
     assert path is not None
     rows = np.genfromtxt(path / f"{day}.csv", delimiter=",", skip_header=1)
-    place = rows[:, 1:3] - _ORIGIN_M
+    place = rows[:, 1:3] - ORIGIN_M
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(place, rows[:, 3])
     speed = np.hypot(rows[:, 4], rows[:, 5])
     last = np.maximum.accumulate(np.where(speed > 0.5, np.arange(len(rows)), int(np.argmax(speed > 0.5))))
     yaw = np.arctan2(rows[last, 5], rows[last, 4])
     return TruthTable(
-        time_ns=_START_NS + np.round((rows[:, 0] - rows[0, 0]) * 1e3).astype(np.int64),
+        time_ns=START_NS + np.round((rows[:, 0] - rows[0, 0]) * 1e3).astype(np.int64),
         latitude_rad=latitude,
         longitude_rad=longitude,
         height_m=rows[:, 3],
@@ -110,7 +107,7 @@ def write_other_days_map(path: Path, day: str, seed: int) -> None:
         map_version=1,
         datum="WGS84",
         epoch_year=2021.6,
-        time_ns=_START_NS,
+        time_ns=START_NS,
         surfaces=stated,
         links=links,
         surrogate=f"track of {day}",

@@ -35,8 +35,8 @@ from support.boreas_relief import DAYS, MAP_SIGMA_M, ProfileMap, folder, track
 
 Floats = NDArray[np.float64]
 FRAME = LocalFrame(math.radians(43.78), math.radians(-79.46), 0.0)
-_ORIGIN_M = (622_000.0, 4_848_500.0)  # of the plane that stands for the recording's UTM grid
-_START_NS = 1_300_000_000 * 1_000_000_000
+ORIGIN_M = (622_000.0, 4_848_500.0)  # of the plane that stands for the recording's UTM grid
+START_NS = 1_300_000_000 * 1_000_000_000
 _MOVING_M_S = 0.1
 _VERTICES = 40
 BOTH_DAYS = (DAYS, DAYS[::-1])
@@ -108,7 +108,7 @@ class _ProfileQueries:
 
     def elevation(self, request: ElevationRequest) -> ElevationReply | MapQueryFailure:
         east, north = FRAME.east_north_from_geodetic(request.latitude_rad, request.longitude_rad, 0.0)
-        place = np.array([east + _ORIGIN_M[0]]), np.array([north + _ORIGIN_M[1]])
+        place = np.array([east + ORIGIN_M[0]]), np.array([north + ORIGIN_M[1]])
         terrain = self._profile.at(np.array([self.heading_rad]), *place)
         if not np.isfinite(terrain.elevation_m[0]):
             road = Road(status="unknown", reason="no_surface", datum="WGS84", map_version=1)
@@ -155,7 +155,7 @@ def _track_links(day: str) -> LinksReply:
     latitude, longitude = np.array(
         [
             FRAME.geodetic_from_east_north(
-                drive.east_m[k] - _ORIGIN_M[0], drive.north_m[k] - _ORIGIN_M[1], 0.0
+                drive.east_m[k] - ORIGIN_M[0], drive.north_m[k] - ORIGIN_M[1], 0.0
             )[:2]
             for k in vertices
         ]
@@ -165,7 +165,7 @@ def _track_links(day: str) -> LinksReply:
     rows = np.concatenate(spans)
     count = len(starts)
     return LinksReply(
-        time_ns=_START_NS,
+        time_ns=START_NS,
         status="known",
         map_version=1,
         link_id=np.arange(count, dtype=np.int64) + 1,
@@ -208,7 +208,7 @@ def localize(
     options = LocalizationOptions(model=PoseModel(couple_links=links))
     localization = Localization(options, queries, counters)
     path_m = np.append(0.0, np.cumsum(np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2]))))
-    time_ns = _START_NS + np.round((rows[:, 0] - rows[0, 0]) * 1e3).astype(np.int64)
+    time_ns = START_NS + np.round((rows[:, 0] - rows[0, 0]) * 1e3).astype(np.int64)
     speed = np.hypot(rows[:, 4], rows[:, 5])
     heading = np.unwrap(np.arctan2(rows[:, 5], rows[:, 4]))
     kept: list[list[float]] = []
@@ -232,7 +232,7 @@ def localize(
                 offset = fault((now - begin_ns) * 1e-9, path_m[k] - from_m - FAULT_AFTER_M, last_heading)
             fix_m = rows[k, 1] + offset[0], rows[k, 2] + offset[1]
             latitude, longitude, _ = FRAME.geodetic_from_east_north(
-                fix_m[0] - _ORIGIN_M[0], fix_m[1] - _ORIGIN_M[1], 0.0
+                fix_m[0] - ORIGIN_M[0], fix_m[1] - ORIGIN_M[1], 0.0
             )
             common = {
                 "time_ns": now,
@@ -252,7 +252,7 @@ def localize(
                 row += [math.nan] * 5
             else:
                 east, north = FRAME.east_north_from_geodetic(result.latitude_rad, result.longitude_rad, 0.0)
-                row += [east + _ORIGIN_M[0], north + _ORIGIN_M[1], *result.covariance_east_north]
+                row += [east + ORIGIN_M[0], north + ORIGIN_M[1], *result.covariance_east_north]
             kept.append(row)
         else:
             localization.advance()
