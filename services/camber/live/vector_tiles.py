@@ -12,12 +12,14 @@ from typing import Literal
 
 import numpy as np
 
+from camber.formats.foxglove.protobuf import tag, varint
 from camber.schemas.base import Int64
 
 EXTENT = 8192
 """Units of a tile's side; as MapLibre GL keeps them: 6 cm of a tile of 500 m."""
 _GEOMETRY = {"LineString": 2, "Polygon": 3}
 _MOVE_TO, _LINE_TO, _CLOSE = 1, 2, 7  # commands of the specification, section 4.3.1
+_VARINT, _LENGTH, _FIXED32 = 0, 2, 5  # wire types of protocol buffers
 Value = int | float
 
 
@@ -84,28 +86,19 @@ def _geometry(points: Int64, *, closed: bool) -> list[int]:
     ]
 
 
-def _varint(value: int) -> bytes:
-    parts = bytearray()
-    while value > 0x7F:
-        parts.append(value & 0x7F | 0x80)
-        value >>= 7
-    parts.append(value)
-    return bytes(parts)
-
-
 def _varints(values: Sequence[int]) -> bytes:
-    return b"".join(map(_varint, values))
+    return b"".join(map(varint, values))
 
 
 def _integer(number: int, value: int) -> bytes:
-    return _varint(number << 3) + _varint(value)
+    return tag(number, _VARINT) + varint(value)
 
 
 def _bytes(number: int, data: bytes) -> bytes:
-    return _varint(number << 3 | 2) + _varint(len(data)) + data
+    return tag(number, _LENGTH) + varint(len(data)) + data
 
 
 def _value(value: Value) -> bytes:
     if isinstance(value, int):
         return _integer(6, value << 1 ^ value >> 63)
-    return _varint(2 << 3 | 5) + struct.pack("<f", value)
+    return tag(2, _FIXED32) + struct.pack("<f", value)

@@ -79,7 +79,7 @@ def _encoded(kind: MessageType, values: Values) -> bytes:
             parts += _one(described, value) if value or described.kind == _MESSAGE else []
         elif described.kind == _DOUBLE:
             packed = struct.pack(f"<{len(value)}d", *value)
-            parts += [_tag(described.number, _LENGTH), _varint(len(packed)), packed]
+            parts += [tag(described.number, _LENGTH), varint(len(packed)), packed]
         else:
             for item in value:
                 parts += _one(described, item)
@@ -87,24 +87,26 @@ def _encoded(kind: MessageType, values: Values) -> bytes:
 
 
 def _one(described: Field, value: Any) -> Sequence[bytes]:
-    tag = _tag(described.number, described.wire)
+    start = tag(described.number, described.wire)
     if described.kind == _DOUBLE:
-        return tag, struct.pack("<d", value)
+        return start, struct.pack("<d", value)
     if described.kind == _FIXED32:
-        return tag, struct.pack("<I", value)
+        return start, struct.pack("<I", value)
     if described.wire == _VARINT:
-        return tag, _varint(int(value) & _MASK_64)
+        return start, varint(int(value) & _MASK_64)
     if described.of is not None:
         value = _encoded(described.of, value)
     data = value.encode() if isinstance(value, str) else value
-    return tag, _varint(len(data)), data
+    return start, varint(len(data)), data
 
 
-def _tag(number: int, wire: int) -> bytes:
-    return _varint(number << 3 | wire)
+def tag(number: int, wire: int) -> bytes:
+    """Return what begins a field of this number and wire type."""
+    return varint(number << 3 | wire)
 
 
-def _varint(value: int) -> bytes:
+def varint(value: int) -> bytes:
+    """Return a number that is not negative in groups of seven bits, the lowest first."""
     data = bytearray()
     while value > 0x7F:
         data.append(value & 0x7F | 0x80)
@@ -151,8 +153,8 @@ def _wire_values(data: bytes) -> Iterator[tuple[int, int, Any]]:
     """Yield number, wire type and value of each field: an int of a varint, otherwise its bytes."""
     position = 0
     while position < len(data):
-        tag, position = _read_varint(data, position)
-        number, wire = tag >> 3, tag & 7
+        start, position = _read_varint(data, position)
+        number, wire = start >> 3, start & 7
         if wire == _VARINT:
             value, position = _read_varint(data, position)
             yield number, wire, value
