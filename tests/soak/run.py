@@ -7,7 +7,7 @@ code 1 where, after the warm-up,
   - verdicts come later than 20 ms after their fix, the 99th percentile of any five minutes, or a hundredth never;
   - a wrong fix is confirmed, a service ends, or no right fix is confirmed in any five minutes.
 
-A run below half an hour cannot see a slow leak, and says so: it judges growth beyond 2 MB, and not the latency, which
+A run below half an hour cannot see a slow leak, and says so: it judges growth beyond 4 MB, and not the latency, which
 is then the machine's load; `--judge-latency` judges it all the same.
 """
 
@@ -35,7 +35,9 @@ from support.live_vehicle import LiveVehicle, Witness, driving
 from support.running import free_endpoint
 
 GROWTH_SHARE = 0.02
-LEAST_MB, LEAST_OF_SHORT_MB = 0.5, 2.0
+LEAST_MB, LEAST_OF_SHORT_MB = 0.5, 4.0
+"""The judge compares over windows of up to 300 s, which fill during a short run: its memory grew by 2.6 MB from the
+second to the fifth minute and by 0.7 MB from the sixth to the thirtieth (`make soak SOAK_MINUTES=50`)."""
 POOL_OF_SHORT = 2
 """Threads that a pool of the uploader, which makes them when it first needs them, may still add in a short run."""
 LATENCY_MS = 20.0
