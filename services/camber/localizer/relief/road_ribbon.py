@@ -31,6 +31,9 @@ class RoadRibbon:
 
     def __init__(self, planes: list[RibbonPlane]) -> None:
         self._planes: Floats = np.array(planes)
+        self._middle = self._planes[:, :2].mean(axis=0)
+        self._from_middle = self._planes[:, :2] - self._middle
+        self._half_square = 0.5 * (self._from_middle**2).sum(axis=1)
 
     def at(self, east_m: Floats, north_m: Floats) -> TerrainHeights:
         """Return the road at places (..., n)."""
@@ -50,6 +53,9 @@ class RoadRibbon:
         """Return the index (n,) of the plane that is nearest to each place (n, 2)."""
         index = np.empty(len(places), np.int64)
         for begin in range(0, len(places), _CHUNK):
-            gap = places[begin : begin + _CHUNK, None, :] - self._planes[None, :, :2]
-            index[begin : begin + _CHUNK] = np.argmin((gap**2).sum(-1), axis=1)
+            # |x - p|² = |x|² - 2 (x · p - |p|² / 2): the nearest plane has the largest difference.
+            nearness = (
+                places[begin : begin + _CHUNK] - self._middle
+            ) @ self._from_middle.T - self._half_square
+            index[begin : begin + _CHUNK] = np.argmax(nearness, axis=1)
         return index
