@@ -20,6 +20,6 @@ def test_a_place_lies_on_the_plane_that_is_nearest(seed: int) -> None:
     away_m = np.array([[np.hypot(p.east_m - x, p.north_m - y) for p in planes] for x, y in cells])
     known = RoadRibbon(planes).at(cells[:, 0], cells[:, 1])
     near = away_m.min(axis=1) < 6.0
-    assert 0 < near.sum()
+    assert near.sum() > 0
     assert known.elevation_m[near].tolist() == away_m.argmin(axis=1)[near].tolist()
     assert np.isnan(known.elevation_m[~near]).all()
