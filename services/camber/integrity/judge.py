@@ -16,7 +16,8 @@ from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
-from camber.integrity.learning.height_residual import base_of, key_of, residual_of
+from camber.integrity.learning.height_residual import base_of, independent_residual_of, key_of, residual_of
+from camber.integrity.learning.residuals import FixResidual
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
 
@@ -79,8 +80,18 @@ class Judge:
         self._base = base_of(fix)
         self.before.settle(judgement, speed_m_s)
         self._carry(judgement)
+        residual = self._residual(judgement, speed_m_s)
+        if residual is not None:
+            self.learning.update(residual)
+
+    def _residual(self, judgement: FixJudgement, speed_m_s: float | None) -> FixResidual | None:
         if judgement.comparison is not None:
-            self.learning.update(residual_of(judgement, judgement.comparison, speed_m_s))
+            return residual_of(judgement, judgement.comparison, speed_m_s)
+        pose = self.latest.pose_near(judgement.fix.time_ns)
+        if pose is None:
+            return None
+        antenna = self.latest.inputs(judgement.fix.time_ns, frozenset()).antenna
+        return independent_residual_of(judgement, pose, antenna, speed_m_s)
 
     def _carry(self, judgement: FixJudgement) -> None:
         """Carry the position of confirmed fixes on by one more fix."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.comparison import FixComparison
+from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.fix_track_offset import JudgedTrackOffset
 from camber.integrity.learning.residuals import FixResidual, ReferenceKey
@@ -34,19 +35,9 @@ def key_of(base: str, pose: Pose | None, antenna: AntennaHeight | None) -> Refer
 def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float | None) -> FixResidual:
     """Of a fix that was compared, whatever the verdict; `speed_m_s` of the wheels, None: not known."""
     fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
-    offset = None if pose is None else pose.fixes_offset
-    residual = FixResidual(
-        time_ns=fix.time_ns,
-        verdict=judgement.verdict,
-        latitude_rad=fix.latitude_rad,
-        longitude_rad=fix.longitude_rad,
-        speed_m_s=speed_m_s,
-        key=key_of(base_of(fix), pose, antenna),
-        link_id=pose.link_id if pose is not None else None,
-        track_offset=None if offset is None else track_offset_of(offset),
-    )
+    residual = _without_differences(judgement, pose, antenna, speed_m_s)
     if pose is not None:
-        residual = _with_horizontal(residual, judgement, result, pose)
+        residual = _with_horizontal(residual, fix, pose, result.position_m, result.position_sigma_m)
     if road is None or antenna is None or antenna.height_m is None:
         return residual
     return replace(
@@ -58,16 +49,46 @@ def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float
     )
 
 
+def independent_residual_of(
+    judgement: FixJudgement, pose: Pose, antenna: AntennaHeight | None, speed_m_s: float | None
+) -> FixResidual | None:
+    """Of a fix that could not be compared with pose or road: the independent position may be known all the same.
+
+    Without it a fault that all fixes share would go on unnamed, as soon as it has made the pose too uncertain.
+    """
+    fix = judgement.fix
+    if pose.independent is None or not (pose.time_ns == fix.time_ns or can_move_on(pose)):
+        return None
+    residual = _without_differences(judgement, pose, antenna, speed_m_s)
+    position_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
+    return _with_horizontal(residual, fix, pose, position_m, math.inf)
+
+
+def _without_differences(
+    judgement: FixJudgement, pose: Pose | None, antenna: AntennaHeight | None, speed_m_s: float | None
+) -> FixResidual:
+    fix, offset = judgement.fix, None if pose is None else pose.fixes_offset
+    return FixResidual(
+        time_ns=fix.time_ns,
+        verdict=judgement.verdict,
+        latitude_rad=fix.latitude_rad,
+        longitude_rad=fix.longitude_rad,
+        speed_m_s=speed_m_s,
+        key=key_of(base_of(fix), pose, antenna),
+        link_id=pose.link_id if pose is not None else None,
+        track_offset=None if offset is None else track_offset_of(offset),
+    )
+
+
 def _with_horizontal(
-    residual: FixResidual, judgement: FixJudgement, result: FixComparison, pose: Pose
+    residual: FixResidual, fix: Fix, pose: Pose, position_m: tuple[float, float], sigma_m: float
 ) -> FixResidual:
     """With the difference from the independent position; where there is none, from a pose free of this fix.
 
     A scan match is precise and rests on no fix: each stretch of it counts for itself. An independent position of
     another basis has errors that last: `independent_offset` judges it by its covariance.
     """
-    east_m, north_m = result.position_m
-    sigma_m, anchored_ns = result.position_sigma_m, pose.anchor_time_ns
+    (east_m, north_m), anchored_ns = position_m, pose.anchor_time_ns
     free = pose.provenance in _FREE_OF_THIS_FIX
     independent = pose.independent
     if independent is not None and pose.latitude_rad is not None and pose.longitude_rad is not None:
@@ -75,7 +96,7 @@ def _with_horizontal(
             independent.latitude_rad, independent.longitude_rad, pose.latitude_rad, pose.longitude_rad
         )
         east_m, north_m = east_m + apart_m[0], north_m + apart_m[1]
-        (ee, en, nn), fix_sigma_m = independent.covariance_east_north, _fix_sigma_m(judgement.fix)
+        (ee, en, nn), fix_sigma_m = independent.covariance_east_north, _fix_sigma_m(fix)
         residual = replace(
             residual,
             independent=(east_m, north_m, ee, en, nn, fix_sigma_m),

@@ -9,7 +9,7 @@ import pytest
 from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.judgement import FixJudgement
-from camber.integrity.learning.height_residual import base_of, key_of, residual_of
+from camber.integrity.learning.height_residual import base_of, independent_residual_of, key_of, residual_of
 from camber.integrity.learning.residuals import ReferenceKey
 from camber.schemas.pose import FixesOffset, IndependentPosition
 from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, place, pose, road
@@ -171,3 +171,23 @@ def test_the_height_is_that_of_the_antenna_the_fix_and_the_road_there():
         road=RoadPoint(elevation_m=ROAD_M - 1.0, sigma_m=0.03), antenna=antenna(height_m=ANTENNA_M + 0.5)
     )
     assert of.up_m == pytest.approx(0.75)
+
+
+def without_comparison(the_pose, epoch=3):
+    judgement = FixJudgement(fix=fix(epoch, north_m=0.4), verdict="unknown", reason="pose_too_uncertain")
+    return independent_residual_of(judgement, the_pose, antenna(), 10.0)
+
+
+def test_a_fix_that_was_not_compared_differs_from_the_independent_position_alone():
+    of = without_comparison(pose(3, sigma_m=9.0, independent=independent("relief")))
+    assert of is not None
+    assert of.known_independent is not None
+    assert of.known_independent[:2] == pytest.approx((0.0, 0.4), abs=1e-3)
+    assert (of.up_m, of.known_horizontal_m, of.verdict) == (None, None, "unknown")
+    assert of.key.antenna == "fixed"
+
+
+def test_without_an_independent_position_at_its_time_a_fix_that_was_not_compared_shows_nothing():
+    assert without_comparison(pose(3)) is None
+    standing = {"speed_m_s": None, "yaw_rad": None, "independent": independent("relief")}
+    assert without_comparison(pose(2, **standing)) is None
