@@ -997,20 +997,20 @@ def test_a_fix_at_the_independent_position_puts_the_pose_of_fixes_in_doubt():
     assert wide.verdict == "erroneous"  # it agrees with everything
 
 
-def led_away(is_known_beside):
-    """The cause that is named of fixes led away by 0.3 m/s, beside a pose that is too uncertain to compare them."""
+def led_away(has_independent):
+    """The cause that is named of fixes led away by 0.3 m/s while the pose is too uncertain to compare them."""
     drive = Drive()
     for k in range(225):
-        known = independent(k, sigma_m=0.3) if is_known_beside else None
+        known = independent(k, sigma_m=0.3) if has_independent else None
         the_pose = pose(k, sigma_m=50.0, independent=known)
         judgement = drive.epoch(k, fix(k, north_m=max(0.0, 0.06 * (k - 50))), the_pose=the_pose)
         assert verdict_and_reason(judgement) == ("unknown", "pose_too_uncertain")
     return drive.judge.learning.diagnosis(None).cause
 
 
-def test_what_leads_fixes_away_is_named_beside_a_pose_that_is_too_uncertain():
-    assert led_away(is_known_beside=True) == "drift"
-    assert led_away(is_known_beside=False) == "none"
+def test_what_leads_fixes_away_is_named_while_the_pose_is_too_uncertain():
+    assert led_away(has_independent=True) == "drift"
+    assert led_away(has_independent=False) == "none"
 
 
 @pytest.mark.parametrize("cause", ["base", "drift"])

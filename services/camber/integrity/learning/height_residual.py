@@ -37,7 +37,9 @@ def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float
     fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
     residual = _without_differences(judgement, pose, antenna, speed_m_s)
     if pose is not None:
-        residual = _with_horizontal(residual, fix, pose, result.position_m, result.position_sigma_m)
+        residual = _with_horizontal(
+            residual, fix, pose, position_m=result.position_m, sigma_m=result.position_sigma_m
+        )
     if road is None or antenna is None or antenna.height_m is None:
         return residual
     return replace(
@@ -61,7 +63,7 @@ def independent_residual_of(
         return None
     residual = _without_differences(judgement, pose, antenna, speed_m_s)
     position_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
-    return _with_horizontal(residual, fix, pose, position_m, math.inf)
+    return _with_horizontal(residual, fix, pose, position_m=position_m, sigma_m=math.inf)
 
 
 def _without_differences(
@@ -81,7 +83,7 @@ def _without_differences(
 
 
 def _with_horizontal(
-    residual: FixResidual, fix: Fix, pose: Pose, position_m: tuple[float, float], sigma_m: float
+    residual: FixResidual, fix: Fix, pose: Pose, *, position_m: tuple[float, float], sigma_m: float
 ) -> FixResidual:
     """With the difference from the independent position; where there is none, from a pose free of this fix.
 
