@@ -90,8 +90,7 @@ class Judge:
         pose = self.latest.pose_near(judgement.fix.time_ns)
         if pose is None:
             return None
-        antenna = self.latest.inputs(judgement.fix.time_ns, frozenset()).antenna
-        return independent_residual_of(judgement, pose, antenna, speed_m_s)
+        return independent_residual_of(judgement, pose, self.latest.antenna, speed_m_s)
 
     def _carry(self, judgement: FixJudgement) -> None:
         """Carry the position of confirmed fixes on by one more fix."""

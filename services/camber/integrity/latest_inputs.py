@@ -20,7 +20,7 @@ class LatestInputs:
     def __init__(self) -> None:
         self.receiver = ReceiverIntegrityMonitor()
         self.poses: deque[Pose] = deque(maxlen=_POSES)
-        self._antenna: AntennaHeight | None = None
+        self.antenna: AntennaHeight | None = None
         self._speed: tuple[int, float] | None = None
 
     @property
@@ -35,7 +35,7 @@ class LatestInputs:
 
     def set_antenna_height(self, antenna: AntennaHeight) -> None:
         """A new antenna height."""
-        self._antenna = antenna
+        self.antenna = antenna
 
     def add_wheel_speed(self, time_ns: int, speed_m_s: float | None) -> None:
         """A new wheel speed; None does not overwrite a known one, its age does."""
@@ -46,13 +46,13 @@ class LatestInputs:
         """Drop what is dated later than this."""
         while self.poses and self.poses[-1].time_ns > limit_ns:
             self.poses.pop()
-        if self._antenna is not None and self._antenna.time_ns > limit_ns:
-            self._antenna = None
+        if self.antenna is not None and self.antenna.time_ns > limit_ns:
+            self.antenna = None
         self.receiver.forget_after(limit_ns)
 
     def inputs(self, at_ns: int, alive: frozenset[str]) -> EpochInputs:
         """What is known for a judgement at this time: the pose nearest to it."""
-        return EpochInputs(pose=self._nearest_pose(at_ns), antenna=self._antenna, alive=alive)
+        return EpochInputs(pose=self._nearest_pose(at_ns), antenna=self.antenna, alive=alive)
 
     def speed_at(self, time_ns: int, max_age_s: float) -> float | None:
         """The wheels' speed, None where it is too far from this time."""
