@@ -56,6 +56,11 @@ def sqrt(value: FloatOrArray) -> FloatOrArray:
     return np.sqrt(value) if isinstance(value, np.ndarray) else math.sqrt(value)
 
 
+def exp(value: FloatOrArray) -> FloatOrArray:
+    """e to the power of it."""
+    return np.exp(value) if isinstance(value, np.ndarray) else math.exp(value)
+
+
 def log(value: FloatOrArray) -> FloatOrArray:
     """Natural logarithm of a positive number."""
     return np.log(value) if isinstance(value, np.ndarray) else math.log(value)
@@ -64,8 +69,7 @@ def log(value: FloatOrArray) -> FloatOrArray:
 def log_sum_exp(one: FloatOrArray, other: FloatOrArray) -> FloatOrArray:
     """ln (eᵃ + eᵇ)."""
     larger, smaller = where(one > other, one, other), where(one > other, other, one)
-    share = np.exp(smaller - larger) if isinstance(larger, np.ndarray) else math.exp(smaller - larger)
-    return larger + log(1.0 + share)
+    return larger + log(1.0 + exp(smaller - larger))
 
 
 def larger_eigenvalue(ee: FloatOrArray, en: FloatOrArray, nn: FloatOrArray) -> FloatOrArray:

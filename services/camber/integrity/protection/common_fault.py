@@ -25,11 +25,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from camber.integrity.checks.independent_position import OffsetFromIndependent, offset_from_independent
 from camber.integrity.protection.common_fault_probability import (
     CommonFaultOdds,
     CommonFaultRules,
+    HorizontalColumns,
     common_fault_odds,
+    determinant,
     likelihood_ratio,
 )
 from camber.integrity.protection.position_bounds import (
@@ -69,7 +73,7 @@ def with_common_fault(
         parts = _with_shifted_map(parts, faults)
     mixture = ErrorMixture(
         (
-            *(_weighed(part, 1.0 / (rest * total)) for part in (*parts, *after)),
+            *(part.weighed(1.0 / (rest * total)) for part in (*parts, *after)),
             *_common_fault_parts(candidate, offset, odds=odds, total=total, rules=rules),
         ),
         candidate.mixture.lost,
@@ -84,35 +88,45 @@ def _latent_after(
     faults: CommonFaultRules,
 ) -> list[MixtureComponent]:
     """The latent faults of the candidate after the comparison, with weights relative to those of its other parts."""
-    result: list[MixtureComponent] = []
+    parts = [part for part in candidate.mixture.parts if part.is_latent and part.weight != 0.0]
+    if not parts:
+        return []
+    horizontal_m2 = _columns([part.horizontal_m2 for part in parts])
+    mean_east_m, mean_north_m, _ = _columns([part.mean_m for part in parts])
+    if_wrong_m2 = _sum(horizontal_m2, offset.covariance_m2)
+    both_m2 = _plus(if_wrong_m2, faults.independent_sigma_m)
+    off_m = offset.difference_m[0] - mean_east_m, offset.difference_m[1] - mean_north_m
+    right = offset.difference_m, if_right_m2
+    ratios = likelihood_ratio(off_m, if_wrong_m2, *right).tolist()
+    both = likelihood_ratio(off_m, both_m2, *right).tolist()
     shares_errors = candidate.source in ("sensors", "scan_match")
-    for part in candidate.mixture.parts:
-        if not part.is_latent or part.weight == 0.0:
-            continue
-        if_wrong_m2 = _sum(part.horizontal_m2, offset.covariance_m2)
-        both_m2 = _plus(if_wrong_m2, faults.independent_sigma_m)
-        off_m = offset.difference_m[0] - part.mean_m[0], offset.difference_m[1] - part.mean_m[1]
-        ratio = likelihood_ratio(off_m, if_wrong_m2, offset.difference_m, if_right_m2)
-        both = likelihood_ratio(off_m, both_m2, offset.difference_m, if_right_m2)
-        bounded = replace(
-            part,
-            weight=ratio * part.weight,
-            mean_m=(*offset.difference_m, part.mean_m[2]),
-            horizontal_m2=_conditional(part.horizontal_m2, offset.covariance_m2, shares_errors),
-        )
-        result += [bounded, _weighed(part, faults.independent_prior * both)]
-    return result
+    bounded_m2 = np.transpose(_conditional(horizontal_m2, offset.covariance_m2, shares_errors)).tolist()
+    result = []
+    for part, ratio, (ee, en, nn) in zip(parts, ratios, bounded_m2, strict=True):
+        mean_m = *offset.difference_m, part.mean_m[2]
+        result.append(MixtureComponent(ratio * part.weight, (ee, en, nn), part.up_m2, mean_m, is_latent=True))
+    doubted = [
+        part.weighed(faults.independent_prior * ratio) for part, ratio in zip(parts, both, strict=True)
+    ]
+    return [*result, *doubted]
 
 
-def _conditional(one_m2: Horizontal, other_m2: Horizontal, shares_errors: bool) -> Horizontal:
+def _columns(rows: list[tuple[float, float, float]]) -> HorizontalColumns:
+    first, second, third = np.array(rows).T
+    return first, second, third
+
+
+def _conditional(
+    one_m2: HorizontalColumns, other_m2: HorizontalColumns, shares_errors: bool
+) -> HorizontalColumns:
     """(A⁻¹ + B⁻¹)⁻¹ = (det A · B + det B · A) / det(A + B), twice where the errors may have a part in common.
 
     In two dimensions, by adj(A) = tr(A) 1 − A.
     """
     det_one, det_other, total = (
-        _determinant(one_m2),
-        _determinant(other_m2),
-        _determinant(_sum(one_m2, other_m2)),
+        determinant(one_m2),
+        determinant(other_m2),
+        determinant(_sum(one_m2, other_m2)),
     )
     scale = (2.0 if shares_errors else 1.0) / total
     a, b, c = (
@@ -121,21 +135,16 @@ def _conditional(one_m2: Horizontal, other_m2: Horizontal, shares_errors: bool) 
     return a, b, c
 
 
-def _determinant(covariance_m2: Horizontal) -> float:
-    ee, en, nn = covariance_m2
-    return ee * nn - en * en
-
-
 def _horizontal(candidate: PositionCandidate) -> Horizontal:
     ee, en, _, nn, _, _ = candidate.covariance_enu_m2
     return ee, en, nn
 
 
-def _sum(one_m2: Horizontal, other_m2: Horizontal) -> Horizontal:
+def _sum(one_m2: HorizontalColumns, other_m2: HorizontalColumns) -> HorizontalColumns:
     return one_m2[0] + other_m2[0], one_m2[1] + other_m2[1], one_m2[2] + other_m2[2]
 
 
-def _plus(covariance_m2: Horizontal, sigma_m: float) -> Horizontal:
+def _plus(covariance_m2: HorizontalColumns, sigma_m: float) -> HorizontalColumns:
     ee, en, nn = covariance_m2
     return ee + sigma_m**2, en, nn + sigma_m**2
 
@@ -167,13 +176,9 @@ def _common_fault_parts(
 def _with_shifted_map(parts: list[MixtureComponent], faults: CommonFaultRules) -> list[MixtureComponent]:
     """Of a position that the map gives: its first part, once more on a map that is shifted."""
     first, share = parts[0], faults.map_shift_prior
-    shifted = replace(_wider(first, faults.map_shift_sigma_m), weight=share * first.weight)
-    return [_weighed(first, 1.0 - share), *parts[1:], shifted]
+    shifted = _wider(first, faults.map_shift_sigma_m).weighed(share)
+    return [first.weighed(1.0 - share), *parts[1:], shifted]
 
 
 def _wider(part: MixtureComponent, sigma_m: float) -> MixtureComponent:
-    return replace(part, horizontal_m2=_plus(part.horizontal_m2, sigma_m))
-
-
-def _weighed(part: MixtureComponent, share: float) -> MixtureComponent:
-    return replace(part, weight=share * part.weight)
+    return part._replace(horizontal_m2=_plus(part.horizontal_m2, sigma_m))

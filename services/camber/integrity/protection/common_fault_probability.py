@@ -22,7 +22,7 @@ the candidate's vector, that of d is that one convolved with N(0, S + M), nowher
 position's own error. Here agreement is evidence, by the ratio N(d; 0, G + C) / N(d; 0, S), C being that of the
 independent position; if that is at fault too, by N(d; 0, G + C + M) / N(d; 0, S).
 
-Odds = odds before any test × these ratios. Pure floats; metres; east, north.
+Odds = odds before any test × these ratios. Metres; east, north.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ import math
 from dataclasses import dataclass
 
 from camber.integrity.checks.consistency import horizontal_distance2
+from camber.integrity.scalar_or_array import FloatOrArray, exp, positive_or_nan, sqrt, where
 
 MOST_LOG_ODDS = 30.0
 """Chosen: odds of 1e13 are certainty in floats, and exp does not overflow."""
 
 Horizontal = tuple[float, float, float]
+HorizontalColumns = tuple[FloatOrArray, FloatOrArray, FloatOrArray]
+"""Covariances (ee, en, nn) of one position or of several."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,21 +102,21 @@ def common_fault_odds(
 
 
 def likelihood_ratio(
-    wrong_m: tuple[float, float],
-    if_wrong_m2: Horizontal,
+    wrong_m: tuple[FloatOrArray, FloatOrArray],
+    if_wrong_m2: HorizontalColumns,
     right_m: tuple[float, float],
     if_right_m2: Horizontal,
-) -> float:
+) -> FloatOrArray:
     """N(d of wrong; 0, wrong) / N(d of right; 0, right), covariances (ee, en, nn); the most where one is none."""
     against = 0.5 * (
         horizontal_distance2(*right_m, if_right_m2) - horizontal_distance2(*wrong_m, if_wrong_m2)
     )
-    right, wrong = _determinant(if_right_m2), _determinant(if_wrong_m2)
-    if not (0.0 < right < math.inf and 0.0 < wrong < math.inf and against < MOST_LOG_ODDS):
-        return math.exp(MOST_LOG_ODDS)
-    return math.sqrt(right / wrong) * math.exp(against)
+    ratio = positive_or_nan(determinant(if_right_m2)) / positive_or_nan(determinant(if_wrong_m2))
+    known = (ratio > 0.0) & (against < MOST_LOG_ODDS)
+    return sqrt(where(known, ratio, 1.0)) * exp(where(known, against, MOST_LOG_ODDS))
 
 
-def _determinant(covariance_m2: Horizontal) -> float:
+def determinant(covariance_m2: HorizontalColumns) -> FloatOrArray:
+    """Of a covariance (ee, en, nn)."""
     ee, en, nn = covariance_m2
     return ee * nn - en * en

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
@@ -30,8 +31,7 @@ _LEAST_ODDS = 1e-14
 """Chosen: a ten-millionth of an integrity risk of 1e-7; what is less likely is not kept."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LatentFaultPart:
+class LatentFaultPart(NamedTuple):
     """Wrong fixes of one class: odds, and mean squares of the offset (each axis, upwards) [m²].
 
     `marked_odds`: the share of `odds` that was there at the last `marked`.
@@ -83,7 +83,7 @@ class LatentFaultHypothesis:
         """
         remaining_share = self.remaining_share(time_ns, rules)
         lasted = [
-            replace(part, odds=remaining_share * part.odds, marked_odds=remaining_share * part.marked_odds)
+            part._replace(odds=remaining_share * part.odds, marked_odds=remaining_share * part.marked_odds)
             for part in self.parts
         ]
         begun = (1.0 - remaining_share) * odds
@@ -93,7 +93,7 @@ class LatentFaultHypothesis:
 
     def marked(self) -> LatentFaultHypothesis:
         """The same; `corroborated` is about what is there now."""
-        return replace(self, parts=tuple(replace(part, marked_odds=part.odds) for part in self.parts))
+        return replace(self, parts=tuple(part._replace(marked_odds=part.odds) for part in self.parts))
 
     def corroborated(self, least_m2: float, rules: LevelRules) -> LatentFaultHypothesis:
         """After a scan match has found the pose where it is: what is left of what was marked would take a wrong match.
@@ -102,7 +102,7 @@ class LatentFaultHypothesis:
         """
         wrong = 1.0 - rules.false_match_prior
         parts = [
-            replace(part, odds=part.odds - wrong * part.marked_odds, marked_odds=0.0)
+            part._replace(odds=part.odds - wrong * part.marked_odds, marked_odds=0.0)
             if part.horizontal_m2 >= least_m2
             else part
             for part in self.parts
@@ -141,11 +141,10 @@ def _by_class(parts: Sequence[LatentFaultPart]) -> tuple[LatentFaultPart, ...]:
         number = math.ceil(_CLASSES * math.log2(max(part.horizontal_m2, _LEAST_M2)))
         before = classes.get(number)
         if before is None:
-            classes[number] = replace(part, horizontal_m2=2.0 ** (number / _CLASSES))
+            classes[number] = part._replace(horizontal_m2=2.0 ** (number / _CLASSES))
             continue
         odds = before.odds + part.odds
-        classes[number] = replace(
-            before,
+        classes[number] = before._replace(
             odds=odds,
             marked_odds=before.marked_odds + part.marked_odds,
             up_m2=before.up_m2 + part.odds / odds * (part.up_m2 - before.up_m2),

@@ -108,13 +108,12 @@ class PoseDispute:
     ) -> tuple[MixtureComponent, ...]:
         """The parts of a pose, of which `alone` is the one that is right, and that the vehicle is where the fix is."""
         # The fix's height is the road's, as the pose's is.
-        there = replace(
-            alone,
+        there = alone._replace(
             weight=weight,
             mean_m=(-self.east_m, -self.north_m, 0.0),
             is_latent=self.out_of_reach,
         )
-        others = [replace(part, weight=(1.0 - weight) * part.weight) for part in parts]
+        others = [part.weighed(1.0 - weight) for part in parts]
         return (*others, widened(there, self.covariance_enu_m2))
 
 

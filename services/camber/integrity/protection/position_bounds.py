@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -79,8 +79,7 @@ class LevelRules:
     common_fault: CommonFaultRules = field(default_factory=CommonFaultRules)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MixtureComponent:
+class MixtureComponent(NamedTuple):
     """One way in which the position may be off: its weight, mean east, north, up, (ee, en, nn), and uu.
 
     `up_m2` infinite: the height is not known. `is_latent`: a fault that has taken fixes and pose along, so that they
@@ -88,17 +87,24 @@ class MixtureComponent:
     """
 
     weight: float
-    mean_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     horizontal_m2: Horizontal
     up_m2: float
+    mean_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     is_latent: bool = False
+
+    def weighed(self, share: float) -> MixtureComponent:
+        """The same with a share of its weight."""
+        return MixtureComponent(
+            share * self.weight, self.horizontal_m2, self.up_m2, self.mean_m, self.is_latent
+        )
 
 
 def widened(part: MixtureComponent, covariance: Sequence[float]) -> MixtureComponent:
     """The part with the errors of a covariance (ee, en, eu, nn, nu, uu) [m²] added."""
     (ee, en, nn) = part.horizontal_m2
     added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    return replace(part, horizontal_m2=added, up_m2=float(part.up_m2 + covariance[5]))
+    up_m2 = float(part.up_m2 + covariance[5])
+    return MixtureComponent(part.weight, added, up_m2, part.mean_m, part.is_latent)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ by a fifth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
@@ -185,7 +185,8 @@ def _with_pose(
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A pose that was pulled along, with its own errors; the height is that of the road."""
     (ee, en, nn), (p_ee, p_en, p_nn) = pulled.horizontal_m2, pose.horizontal_m2
-    wider = replace(pulled, horizontal_m2=(ee + p_ee, en + p_en, nn + p_nn), up_m2=pose.up_m2)
+    horizontal_m2 = (ee + p_ee, en + p_en, nn + p_nn)
+    wider = MixtureComponent(1.0, horizontal_m2, pose.up_m2, pulled.mean_m, pulled.is_latent)
     return road_components(wider, pulled.weight, rules)
 
 
@@ -251,7 +252,7 @@ def _if_wrong(
         return odds, (wrong,)
     pose_m2 = (ee, en, 0.0, nn, 0.0, 0.0)
     return odds, tuple(
-        replace(wrong, weight=one.weight, horizontal_m2=widened(one, pose_m2).horizontal_m2)
+        wrong._replace(weight=one.weight, horizontal_m2=widened(one, pose_m2).horizontal_m2)
         for one in unknown
     )
 
@@ -261,22 +262,13 @@ def road_components(
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
     changed = rules.changed_road_prior
-    # Twice for every position: built at once, not by `replace`, which takes twice as long.
-    surveyed = MixtureComponent(
-        weight=(1.0 - changed) * weight,
-        mean_m=part.mean_m,
-        horizontal_m2=part.horizontal_m2,
-        up_m2=part.up_m2,
-        is_latent=part.is_latent,
+    _, horizontal_m2, up_m2, mean_m, is_latent = part
+    changed_up_m2 = up_m2 + rules.changed_road_sigma_m**2
+    # Twice for every position: built at once, not by `_replace`, which takes three times as long.
+    return (
+        MixtureComponent((1.0 - changed) * weight, horizontal_m2, up_m2, mean_m, is_latent),
+        MixtureComponent(changed * weight, horizontal_m2, changed_up_m2, mean_m, is_latent),
     )
-    changed_road = MixtureComponent(
-        weight=changed * weight,
-        mean_m=part.mean_m,
-        horizontal_m2=part.horizontal_m2,
-        up_m2=part.up_m2 + rules.changed_road_sigma_m**2,
-        is_latent=part.is_latent,
-    )
-    return surveyed, changed_road
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:

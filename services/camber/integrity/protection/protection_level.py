@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,8 +59,7 @@ def levels_m(parts: Sequence[TailComponent], risks: Sequence[FloatOrArray]) -> l
     """
     table = np.array(parts, np.float64)
     if table.ndim == 2:
-        possible = bool(_are_known(table))
-        return _levels_m(table[:, :, None], risks) if possible else [math.inf] * len(risks)
+        return _levels_m(table[:, :, None], risks) if _are_known(table) else [math.inf] * len(risks)
     result = np.full((len(risks), table.shape[2]), np.inf)
     possible = np.flatnonzero(_are_known(table))
     step = max(_AT_ONCE // (_NODES * len(table)), 1)
@@ -70,12 +69,13 @@ def levels_m(parts: Sequence[TailComponent], risks: Sequence[FloatOrArray]) -> l
     return list(result)
 
 
-def _are_known(table: Floats) -> Any:
+def _are_known(table: Floats) -> NDArray[np.bool_]:
     """Is all of a mixture (k, 5, ...) finite, and each covariance one?"""
     larger_m2, smaller_m2 = table[:, 3], table[:, 4]
     finite = np.isfinite(table[:, :4]).all(axis=(0, 1))
     with np.errstate(invalid="ignore"):
-        return finite & ((larger_m2 >= 0.0) & (smaller_m2 >= -_ROUNDING * larger_m2)).all(axis=0)
+        sound = (larger_m2 >= 0.0) & (smaller_m2 >= -_ROUNDING * larger_m2)
+    return np.asarray(finite & sound.all(axis=0))
 
 
 def _levels_m(table: Floats, risks: Sequence[FloatOrArray]) -> list[FloatOrArray]:

@@ -12,7 +12,7 @@ from camber.localizer.relief.terrain import TerrainHeights
 
 _REACH_M = 6.0  # chosen: half of the spacing along, and to the edge of a lane across; there a road is a plane
 _CELL_M = 2.0  # chosen: places of one cell have the same plane
-_CHUNK = 2048  # chosen: distances in some megabytes
+_CHUNK = 128  # chosen: with 1,500 planes 1.5 MB of distances
 
 
 class RibbonPlane(NamedTuple):

@@ -194,7 +194,7 @@ def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
 def test_the_mixture_has_the_pose_and_the_place_of_the_fix():
     disputed = updated_dispute(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
     alone = MixtureComponent(weight=1.0, horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.1)
-    parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
+    parts = (alone.weighed(0.9), alone.weighed(0.1))
     *others, there = disputed.with_alternative(parts, alone, 0.2)
     assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])
     assert there.mean_m == pytest.approx((-3.0, -4.0, 0.0), abs=1e-3), (

@@ -35,7 +35,7 @@ def normal(s, up=0.05, rho=0.0, ratio=1.0):
 
 def with_wrong(w, s=0.055, offset=0.3, pose=0.1):
     wrong = part((pose * pose, 0.0, pose * pose), 0.05**2, w, mean_m=(offset, 0.0, 0.1))
-    return ErrorMixture((replace(normal(s).parts[0], weight=1.0 - w), wrong), w * 1e-8)
+    return ErrorMixture((normal(s).parts[0].weighed(1.0 - w), wrong), w * 1e-8)
 
 
 def of(mixture, rules=RULES):
@@ -142,7 +142,7 @@ def test_several_positions_are_bounded_each_by_itself():
 
 def test_a_part_split_in_two_is_the_same_part():
     other = part((0.02, 0.0, 0.02), 1e-4, 0.1, mean_m=(0.5, 0.0, 0.0))
-    all_of_it, half, rest = (replace(*normal(0.1).parts, weight=weight) for weight in (0.9, 0.3, 0.6))
+    all_of_it, half, rest = (normal(0.1).parts[0].weighed(weight) for weight in (0.9, 0.3, 0.6))
     whole, split = ErrorMixture((all_of_it, other)), ErrorMixture((half, other, rest))
     assert of(split).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
     assert of(split).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
@@ -193,7 +193,7 @@ def turned(mixture, angle_rad):
         (ee, en, nn), (east_m, north_m, up_m) = one.horizontal_m2, one.mean_m
         (ee, en), (_, nn) = (turn @ np.array([[ee, en], [en, nn]]) @ turn.T).tolist()
         mean_m = (*(turn @ [east_m, north_m]).tolist(), up_m)
-        parts.append(replace(one, mean_m=mean_m, horizontal_m2=(ee, en, nn)))
+        parts.append(one._replace(mean_m=mean_m, horizontal_m2=(ee, en, nn)))
     return ErrorMixture(tuple(parts), mixture.lost)
 
 
