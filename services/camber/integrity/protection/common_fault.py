@@ -104,7 +104,7 @@ def _latent_after(
     result = []
     for part, ratio, (ee, en, nn) in zip(parts, ratios, bounded_m2, strict=True):
         mean_m = *offset.difference_m, part.mean_m[2]
-        result.append(MixtureComponent(ratio * part.weight, (ee, en, nn), part.up_m2, mean_m, is_latent=True))
+        result.append(part._replace(weight=ratio * part.weight, mean_m=mean_m, horizontal_m2=(ee, en, nn)))
     doubted = [
         part.weighed(faults.independent_prior * ratio) for part, ratio in zip(parts, both, strict=True)
     ]

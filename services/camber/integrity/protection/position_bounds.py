@@ -95,7 +95,11 @@ class MixtureComponent(NamedTuple):
     def weighed(self, share: float) -> MixtureComponent:
         """The same with a share of its weight."""
         return MixtureComponent(
-            share * self.weight, self.horizontal_m2, self.up_m2, self.mean_m, self.is_latent
+            weight=share * self.weight,
+            horizontal_m2=self.horizontal_m2,
+            up_m2=self.up_m2,
+            mean_m=self.mean_m,
+            is_latent=self.is_latent,
         )
 
 
@@ -103,8 +107,13 @@ def widened(part: MixtureComponent, covariance: Sequence[float]) -> MixtureCompo
     """The part with the errors of a covariance (ee, en, eu, nn, nu, uu) [m²] added."""
     (ee, en, nn) = part.horizontal_m2
     added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    up_m2 = float(part.up_m2 + covariance[5])
-    return MixtureComponent(part.weight, added, up_m2, part.mean_m, part.is_latent)
+    return MixtureComponent(
+        weight=part.weight,
+        horizontal_m2=added,
+        up_m2=float(part.up_m2 + covariance[5]),
+        mean_m=part.mean_m,
+        is_latent=part.is_latent,
+    )
 
 
 @dataclass(frozen=True, slots=True)

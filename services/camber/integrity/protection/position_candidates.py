@@ -185,8 +185,7 @@ def _with_pose(
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A pose that was pulled along, with its own errors; the height is that of the road."""
     (ee, en, nn), (p_ee, p_en, p_nn) = pulled.horizontal_m2, pose.horizontal_m2
-    horizontal_m2 = (ee + p_ee, en + p_en, nn + p_nn)
-    wider = MixtureComponent(1.0, horizontal_m2, pose.up_m2, pulled.mean_m, pulled.is_latent)
+    wider = pulled._replace(horizontal_m2=(ee + p_ee, en + p_en, nn + p_nn), up_m2=pose.up_m2)
     return road_components(wider, pulled.weight, rules)
 
 
@@ -262,13 +261,9 @@ def road_components(
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
     changed = rules.changed_road_prior
-    _, horizontal_m2, up_m2, mean_m, is_latent = part
-    changed_up_m2 = up_m2 + rules.changed_road_sigma_m**2
-    # Twice for every position: built at once, not by `_replace`, which takes three times as long.
-    return (
-        MixtureComponent((1.0 - changed) * weight, horizontal_m2, up_m2, mean_m, is_latent),
-        MixtureComponent(changed * weight, horizontal_m2, changed_up_m2, mean_m, is_latent),
-    )
+    surveyed = part._replace(weight=(1.0 - changed) * weight)
+    changed_road = part._replace(weight=changed * weight, up_m2=part.up_m2 + rules.changed_road_sigma_m**2)
+    return surveyed, changed_road
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:
