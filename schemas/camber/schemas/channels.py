@@ -6,7 +6,7 @@ from it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -36,6 +36,12 @@ class Channel:
     looped: bool = False  # consumed one epoch later: the loops that the documents ask for
     made_from: str = ""  # the vehicle's channel without which there is nothing on this one
     note: str = ""
+    late_s: tuple[tuple[str, float], ...] = ()
+    """Consumers that need each message, by its date, and how old it may be there instead."""
+
+    def received_by(self, service: str) -> Channel:
+        """The channel as a consumer judges ages on it."""
+        return replace(self, max_age_s=dict(self.late_s).get(service, self.max_age_s))
 
     def key_for(self, vehicle: str) -> str:
         """The Zenoh key of this channel for one vehicle."""
@@ -72,6 +78,9 @@ _NAMES = {
     "replay/done/{service}": "done",
 }
 """Of those that are not called as the end of their key."""
+_LATE_S = {"motion": (("localizer", 5.0),)}
+"""Chosen: dead reckoning needs every sample, also after the localizer itself was busy for some seconds; a pose of an
+old sample is dated, so its consumers refuse it."""
 _NOTES = {
     "receiver_bytes": "native bytes, where the receiver is not attached to gnss itself: replays",
     "verdict": "confirmed positions anchor the localizer's next pose",
@@ -109,6 +118,7 @@ def _row(
         looped=looped,
         made_from=made_from,
         note=_NOTES.get(name, ""),
+        late_s=_LATE_S.get(name, ()),
     )
 
 

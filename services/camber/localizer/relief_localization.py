@@ -98,6 +98,7 @@ class ReliefLocalization:
     def _try_start(self, time_ns: int, height_m: float, sigma_m: float, pose: PoseFilter) -> None:
         plane, position, road = self._start_plane, self._independent.position, self._road
         track, placed = position.filter.track.at(time_ns), pose.prediction_at(time_ns)
+        self._start.forget_before(position.filter.track.begin_ns)
         if plane is None or road is None or track is None or placed is None or not placed.yaw_known:
             return
         due = self._start.add_height(

@@ -61,7 +61,7 @@ class Loop:
         self._clock = clock
         self._handlers = service.handlers()
         self._answers = service.answers()
-        self._inboxes = {c.name: Inbox(channel=c) for c in self.inputs()}
+        self._inboxes = {c.name: Inbox(channel=c.received_by(service.NAME)) for c in self.inputs()}
         self._report = HealthReporter(service, bus)
         self._of_itself = {"health": self._healths, "log_level": self._log_levels}
         self._collector = collector

@@ -49,6 +49,13 @@ CASES: dict[str, tuple[list[tuple[int, float, bool]], dict[str, int]]] = {
 }
 
 
+def test_the_localizer_takes_each_sample_of_the_motion_that_its_own_work_has_made_late() -> None:
+    inbox, others = (Inbox(channel=MOTION.received_by(name)) for name in ("localizer", "integrity"))
+    assert accepts(inbox, received(0, at_s=-5.0))
+    assert not accepts(inbox, received(1, at_s=-5.01))
+    assert not accepts(others, received(0, at_s=-0.6))
+
+
 @pytest.mark.parametrize(("messages", "refused"), CASES.values(), ids=CASES)
 def test_what_is_fresh_and_new_is_handed_out(
     messages: list[tuple[int, float, bool]], refused: dict[str, int]

@@ -65,10 +65,12 @@ def propagate(x: Floats, p: Floats, step: MotionStep, *, turn: YawRate | None, m
     p[:3, :3] = rows[:, :N_MOTION] @ f.T
     path = abs(moved.along_m)
     turn_var = turn.turn_var_rad2 + step.unknown_rate_var_rad2
+    # Where in a gap the vehicle has turned is unknown too: Δ (L − s), s uniform over L, has the variance Δ² L² / 12.
+    per_turn = 0.25 + (1.0 / 12.0 if step.outcome == "gap" else 0.0)
     p[:3, :3] += _process_noise(
         moved,
         along_var=step.along_var_m2 + step.creep_var_m2,
-        left_var=model.lateral_noise_m_sqrt_m**2 * path + 0.25 * turn_var * path * path,
+        left_var=model.lateral_noise_m_sqrt_m**2 * path + per_turn * turn_var * path * path,
         turn_var=turn_var,
     )
     keep = math.exp(-abs(step.speed_m_s) * dt / model.speed_scale_length_m)

@@ -207,7 +207,11 @@ class PoseFilter:
         self._wheel_slip.after_step(step, slip_change)
         if step.standing:
             self._learn_bias(step)
+        if step.outcome == "gap":
+            self._matches.forget()
         if not self._initialization.heading_known:
+            if step.outcome == "gap":
+                self._initialization.lose_heading(self._track_now())
             self._initialization.spread(self._track_now())
         elif self._provenance != "none":
             self._drop_lost_estimates()

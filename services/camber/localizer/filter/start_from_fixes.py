@@ -94,6 +94,8 @@ class StartFromFixes:
             return None
         if self._fixes and time_ns - self._fixes[-1].time_ns > _MAX_GAP_S * 1e9:
             self._fixes.clear()
+        if self._fixes and track.at(self._fixes[0].time_ns) is None:
+            self._fixes.clear()
         self._fixes.append(_TimedPosition(time_ns, TrackedPosition(east_m, north_m, variance, here)))
         oldest_ns = time_ns - round(_WINDOW_S * 1e9)
         self._fixes = [fix for fix in self._fixes if fix.time_ns >= oldest_ns]

@@ -1,4 +1,8 @@
-"""The dead-reckoned track of the last minutes, in a frame of its own that begins at zero."""
+"""The dead-reckoned track of the last minutes, in a frame of its own that begins at zero.
+
+It begins anew after a gap in time: how the vehicle has turned in it is not known, so nothing measured before the gap
+can be carried to the present by the track.
+"""
 
 from __future__ import annotations
 
@@ -47,12 +51,20 @@ class RelativeTrack:
         else:
             wheel_m += step.speed_m_s * step.dt_s + step.creep_m
         moved = _moved(here, step.dt_s, speed_m_s * step.dt_s + step.creep_m, rate_rad_s)
+        if step.outcome == "gap":
+            self._times_ns.clear()
+            self._points.clear()
         self._points.append(moved._replace(wheel_m=wheel_m, wheel_m_s=step.wheel_m_s))
         self._times_ns.append(time_ns)
         self._speed_m_s, self._rate_rad_s = speed_m_s, rate_rad_s
         if self._times_ns[0] < time_ns - 2 * self._keep_ns:
             first = bisect.bisect_left(self._times_ns, time_ns - self._keep_ns)
             del self._times_ns[:first], self._points[:first]
+
+    @property
+    def begin_ns(self) -> int | None:
+        """Time of the first point, None without one."""
+        return self._times_ns[0] if self._times_ns else None
 
     def at(self, time_ns: int) -> TrackPoint | None:
         """Return the interpolated point, or one extrapolated shortly beyond the end; None outside."""

@@ -70,6 +70,11 @@ class ReliefStart:
         self._planes.clear()
         self._tried_at_m = -math.inf
 
+    def forget_before(self, begin_ns: int | None) -> None:
+        """Forget all where the track begins later than the heights: after a gap it is another one."""
+        if self._heights and (begin_ns is None or self._heights[-1].time_ns < begin_ns):
+            self.forget()
+
     def add_road(self, plane: RibbonPlane) -> None:
         """Add the road below the pose's antenna, each few metres."""
         last = self._planes[-1] if self._planes else None

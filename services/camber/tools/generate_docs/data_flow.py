@@ -81,7 +81,8 @@ def _streams(channels: list[Channel]) -> str:
     def columns(c: Channel) -> list[str]:
         consumers = ", ".join(c.consumers) or "recorders"
         delivery = f"`{c.delivery}`" + (", looped" if c.looped else "")
-        return [", ".join(c.producers), consumers, _number(c.rate_hz), _seconds(c.max_age_s), delivery]
+        late = "".join(f", {service} {_seconds(limit_s)}" for service, limit_s in c.late_s)
+        return [", ".join(c.producers), consumers, _number(c.rate_hz), _seconds(c.max_age_s) + late, delivery]
 
     return _table("channel | key | message | from | to | Hz | oldest | delivery", channels, columns)
 

@@ -127,6 +127,52 @@ def test_first_anchors_after_long_gaps_lie_where_the_covariance_says():
     assert max(nis) < 13.82
 
 
+CORNERS = {
+    "a corner": [(0.6, 9.0, 0.0), (1.4, 9.0, 0.5), (0.6, 9.0, 0.0)],
+    "its begin": [(1.6, 9.0, 0.0), (1.0, 9.0, 0.5)],
+    "its end": [(1.0, 9.0, -0.5), (1.6, 9.0, 0.0)],
+    "none": [(2.6, 9.0, 0.0)],
+}
+
+
+def unseen(vehicle, legs):
+    """Drive while no motion reaches the filter; return the time and the antenna's place of the last fix but one."""
+    vehicle.sense = lambda slip: None
+    for leg in legs:
+        vehicle.drive(*leg)
+    late = vehicle.time_ns, vehicle.antenna()
+    vehicle.step(9.0)
+    del vehicle.sense
+    vehicle.step(9.0)
+    return late
+
+
+@pytest.mark.parametrize("legs", CORNERS.values(), ids=CORNERS)
+def test_after_a_gap_with_a_corner_the_pose_is_where_the_covariance_says(legs):
+    nees = []
+    for seed in range(20):
+        vehicle = anchored_vehicle(seed=seed)
+        time_ns, antenna = unseen(vehicle, legs)
+        assert vehicle.filter.anchor(time_ns, *antenna, FIX).outcome == "too_old", "no motion carries it here"
+        nees.append(vehicle.nees())
+        for _ in range(10):
+            vehicle.drive(STEP_S, 9.0, anchors=RIGHT)
+            nees.append(vehicle.nees())
+        assert vehicle.distance() < 0.3
+    assert max(nees) < stats.chi2.ppf(1.0 - 1e-6, 3)
+
+
+def test_what_was_measured_before_a_gap_gives_no_heading_after_it():
+    vehicle = agile(yaw=2.0)
+    vehicle.drive(1.0, 9.0)
+    vehicle.anchor()
+    unseen(vehicle, [(0.2, 9.0, 5.0), (1.0, 9.0, 0.0)])
+    vehicle.anchor()
+    assert not vehicle.filter.estimate().yaw_known
+    vehicle.drive(3.0, 5.0, anchors=RIGHT)
+    assert abs(vehicle.error()[2]) < 4.0 * math.sqrt(vehicle.filter.estimate().covariance[2, 2]) < 0.2
+
+
 def test_the_yaw_rate_bias_is_learnt_at_a_standstill():
     after, before = (agile(seed=3) for _ in range(2))
     for vehicle, wait_s in ((before, 0.0), (after, 60.0)):
