@@ -49,7 +49,7 @@ CASES: dict[str, tuple[list[tuple[int, float, bool]], dict[str, int]]] = {
 }
 
 
-def test_the_localizer_takes_each_sample_of_the_motion_that_its_own_work_has_made_late() -> None:
+def test_the_localizer_takes_each_sample_of_the_motion_however_late_it_has_made_them() -> None:
     inbox, others = (Inbox(channel=MOTION.received_by(name)) for name in ("localizer", "integrity"))
     assert accepts(inbox, received(0, at_s=-5.0))
     assert not accepts(inbox, received(1, at_s=-5.01))
