@@ -104,9 +104,9 @@ def test_a_place_that_is_none_is_left_out():
 )
 def test_from_ten_centimetres_off_three_are_reached_in_a_minute_in_most_drives(model, map_sigma_m, least):
     """The more of the map's error is alike along 600 m, the more is taken for the antenna's."""
-    print("seeds 0 to 499")
+    print("seeds 0 to 199")
     errors_m = []
-    for seed in range(500):
+    for seed in range(200):
         learning = Learning(replace(RULES, map_errors=model))
         *_, last_m = drive(learning, seed, 60.0, 0.1, Noise(map_sigma_m=map_sigma_m, map_errors=model))
         errors_m.append(last_m - 0.1)
