@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -72,7 +74,7 @@ def listener(stack: Stack) -> Iterator[Subscription]:
 
 
 def test_every_service_is_healthy(stack: Stack) -> None:
-    assert stack.states() == dict.fromkeys((*SERVICES, *ROUTERS, "demo"), "healthy")
+    assert stack.states() == dict.fromkeys((*SERVICES, *ROUTERS, "demo", "live"), "healthy")
 
 
 def test_the_summary_of_the_demo_is_there_and_nothing_wrong_was_confirmed(stack: Stack) -> None:
@@ -94,11 +96,16 @@ def test_services_run_without_rights_and_cannot_change_their_code(stack: Stack) 
         assert "NoNewPrivs:\t1" in status
 
 
-def test_only_this_machine_reaches_the_routers_and_nothing_else_is_published(stack: Stack) -> None:
+def test_only_this_machine_reaches_the_routers_and_the_page_and_nothing_else_is_published(
+    stack: Stack,
+) -> None:
     assert stack.compose("port", "vehicle_router", "7447").strip() == f"127.0.0.1:{stack.port}"
     assert stack.compose("port", "cloud_router", "7448").strip() == f"127.0.0.1:{stack.cloud_port}"
+    assert stack.compose("port", "live", "8080").strip() == f"127.0.0.1:{stack.live_port}"
     published = [p["PublishedPort"] for row in stack.rows() for p in row["Publishers"] or ()]
-    assert sorted(port for port in published if port) == sorted((stack.port, stack.cloud_port))
+    assert sorted(port for port in published if port) == sorted(
+        (stack.port, stack.cloud_port, stack.live_port)
+    )
 
 
 def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> None:
@@ -108,6 +115,7 @@ def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> 
         *VEHICLE_SERVICES,
         "vehicle_router",
         "demo",
+        "live",
     }
     assert {name for name, on in networks.items() if "cloud" in on} == {"map_update", "cloud_router"}
     assert {name for name, on in networks.items() if "uplink" in on} == set(ROUTERS)
@@ -116,6 +124,15 @@ def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> 
         known = f"import socket; socket.getaddrinfo({other!r}, 7447)"
         output = stack.inside(service, "sh", "-c", f'python -c "{known}" 2>&1 || true')
         assert "gaierror" in output, service
+
+
+def test_the_page_of_the_vehicle_is_served_to_this_machine_alone(stack: Stack) -> None:
+    page = f"http://127.0.0.1:{stack.live_port}/"
+    with urllib.request.urlopen(page, timeout=10.0) as answer:
+        assert b"<title>" in answer.read()
+    elsewhere = urllib.request.Request(page, headers={"Host": "elsewhere.example"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(elsewhere, timeout=10.0)
 
 
 def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Subscription) -> None:

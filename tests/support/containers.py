@@ -70,7 +70,7 @@ class Stack:
     def __init__(self, name: str, profile: str, **variables: str | Path) -> None:
         self.project = f"camber-{name}-{os.getpid()}"
         self.profile = profile
-        self.port, self.cloud_port = free_port(), free_port()
+        self.port, self.cloud_port, self.live_port = free_port(), free_port(), free_port()
         kept = {
             name: text for name, text in os.environ.items() if not name.startswith(("CAMBER_", "COMPOSE_"))
         }
@@ -78,6 +78,7 @@ class Stack:
             **kept,
             "CAMBER_IMAGES": f"localhost/{self.project}",
             "CAMBER_PORT": str(self.port),
+            "CAMBER_LIVE_PORT": str(self.live_port),
             "CAMBER_CLOUD_PORT": f"127.0.0.1:{self.cloud_port}",
             "CAMBER_CPUS": str(min(2, os.cpu_count() or 1)),
             **{f"CAMBER_{name.upper()}": str(value) for name, value in variables.items()},

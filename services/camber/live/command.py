@@ -6,7 +6,7 @@
     camber live drive.mcap          a recording of `camber record`; --map gives it a map
 
 The page is for browsers on this machine. Another address is served only with --token, and over TLS where a certificate
-is given.
+is given. Without a token only requests to this machine's names are answered, in a container too.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def _tiles(folder: Path) -> MapTiles:
 
 
 def _check(args: argparse.Namespace, token: str | None) -> None:
-    if args.host not in LOOPBACK and token is None:
+    if args.host not in LOOPBACK and token is None and not args.published_on_loopback:
         raise ValueError(f"--host {args.host}: others can reach this address, so --token is needed")
     if token is not None and len(token) < _LEAST_TOKEN:
         raise ValueError(f"--token: expected at least {_LEAST_TOKEN} characters")
@@ -194,7 +194,8 @@ def _listen(host: str, port: int) -> socket.socket:
 
 
 def _address(args: argparse.Namespace, listening: socket.socket, token: str | None) -> str:
-    name = f"[{args.host}]" if ":" in args.host else args.host
+    host = "localhost" if args.published_on_loopback else args.host
+    name = f"[{host}]" if ":" in host else host
     scheme = "http" if args.certificate is None else "https"
     end = "/" if token is None else f"/?token={quote(token, safe='')}"
     return f"{scheme}://{name}:{listening.getsockname()[1]}{end}"
@@ -242,6 +243,11 @@ def _parser() -> argparse.ArgumentParser:
     add_with_default(parser, "--host", "127.0.0.1", "address to serve on", metavar="ADDRESS")
     add_with_default(
         parser, "--port", _PORT, "port to serve on, 0: any", type=whole_from(0, 65_535), metavar="N"
+    )
+    add(
+        "--published-on-loopback",
+        action="store_true",
+        help="in a container: this machine publishes the port on a loopback address only, so no token is needed",
     )
     add("--token", metavar="TEXT", help="what a browser must know; needed on any other address")
     add("--certificate", type=Path, metavar="FILE", help="serve over TLS with this certificate")

@@ -25,6 +25,9 @@ def main(argv: Sequence[str]) -> int:
         "use a street with wrong fixes at known times instead of the city: created in a second, without numba"
     )
     parser.add_argument("--short", action="store_true", help=text)
+    parser.add_argument(
+        "--open", action="store_true", help="show it on a live page in the browser at the end"
+    )
     args = parser.parse_args(argv)
     check_speed(parser, args)
 
@@ -32,6 +35,11 @@ def main(argv: Sequence[str]) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         manifest = (_short if args.short else _city)(args.out, args.seed)
         code = replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
+        if args.open:
+            # Imported here: a demo without a page needs no web server.
+            from camber.live.command import main as live
+
+            return code or live([str(args.out), "--open"])
         print(f"on a map: {_command()} live {args.out}")
         return code
 

@@ -15,6 +15,7 @@ from camber.replay.run_folder import DriveFacts, RunFolder
     [
         (["--host", "0.0.0.0"], "--token is needed"),
         (["--host", "0.0.0.0", "--token", "short"], "at least 16 characters"),
+        (["missing.mcap", "--host", "0.0.0.0", "--published-on-loopback"], "missing.mcap"),
         (["--certificate", "a.pem"], "expected both or none"),
         (["--raster", "file:///tiles"], "expected an address"),
         (["missing.mcap"], "missing.mcap"),
