@@ -201,7 +201,7 @@ def test_a_roll_back_is_a_start_of_the_images_that_were_kept(stack: Stack) -> No
 
 def test_every_service_is_confined(stack: Stack) -> None:
     project = json.loads(stack.compose("config", "--format", "json"))
-    assert set(project["services"]) == {*SERVICES, *ROUTERS, "demo"}
+    assert set(project["services"]) == {*SERVICES, *ROUTERS, "demo", "live"}
     for name, service in project["services"].items():
         assert service["cap_drop"] == ["ALL"], name
         assert service["read_only"] is True, name
