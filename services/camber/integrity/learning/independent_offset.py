@@ -141,14 +141,14 @@ class IndependentOffsets:
 
     def _add(self, sample: _Sample) -> None:
         if self._samples and sample.time_ns <= self._samples[-1].time_ns:
-            self._samples, self.fault, self._wavering = [], None, 0  # the clock was set back
+            self._samples, self.fault = [], None  # the clock was set back
         self._samples.append(sample)
         if len(self._samples) > _MOST_SAMPLES:
             half = _MOST_SAMPLES // 2
             self._samples = self._samples[:half:2] + self._samples[half:]
         new = _fault_of(self._samples, self.rules)
         if self.fault is None or (new is not None and (self.fault.kind, new.kind) != ("drift", "base")):
-            self.fault, self._wavering = (new if new is not None else self.fault), 0
+            self.fault, self._wavering = new, 0
         if self.fault is not None:
             self._hold(self.fault, sample)
 
@@ -167,7 +167,7 @@ class IndependentOffsets:
         over = size_m**2 - 2.0 * size_m * left_m > _OVER_CHI2 * variance_m2
         self._wavering = self._wavering + 1 if over else 0
         if self._wavering >= _WAVERING:
-            self._samples, self.fault, self._wavering = self._samples[-_WAVERING:], None, 0
+            self._samples, self.fault = self._samples[-_WAVERING:], None
 
 
 def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> IndependentOffset | None:

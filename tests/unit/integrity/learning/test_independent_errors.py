@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.learning.independent_errors import PARTS, SINGLE, IndependentErrors
+from camber.integrity.learning.independent_errors import PARTS, SINGLE, IndependentErrors, _roots
 
 variances = st.floats(1e-6, 1e4)
 samples = st.lists(
@@ -57,3 +57,11 @@ def test_without_evidence_nothing_is_renewed_and_what_sigma_grows_by_is_new_or_t
     assert new == pytest.approx((1.0 - SINGLE) * 1.0, rel=1e-4), "the variance of the first"
     assert same == pytest.approx((1.0 - SINGLE) * 2.0, rel=1e-4), "the product of both σ"
     assert all(model[0, 0, 1, 0] < 0.3 for model in models[:2])
+
+
+def test_no_error_is_smaller_than_a_millimetre_whatever_covariance_is_given():
+    """One of nought, and one that is none."""
+    for covariance_m2 in (np.zeros((2, 2)), np.array([[1e-4, 1.0], [1.0, 1e-4]])):
+        root, size_m = _roots(covariance_m2[None])
+        assert size_m == pytest.approx(1e-3)
+        assert np.isfinite(root).all()
