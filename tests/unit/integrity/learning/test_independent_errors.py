@@ -60,7 +60,7 @@ def test_without_evidence_nothing_is_renewed_and_what_sigma_grows_by_is_new_or_t
 
 
 def test_no_error_is_smaller_than_a_millimetre_whatever_covariance_is_given():
-    """One of nought, and one that is none."""
+    """One of zero, and one that is none."""
     for covariance_m2 in (np.zeros((2, 2)), np.array([[1e-4, 1.0], [1.0, 1e-4]])):
         root, size_m = _roots(covariance_m2[None])
         assert size_m == pytest.approx(1e-3)
