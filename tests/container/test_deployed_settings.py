@@ -12,10 +12,12 @@ from typing import Any
 
 import pytest
 
-from camber.replay.short_drive import ANTENNA_HEIGHT_M, write_short_drive
+from camber.replay.drive_inputs import prepare_drive
+from camber.replay.service_settings import service_settings
 from camber.runtime.session import router_endpoints
 from camber.runtime.settings import load
 from camber.schemas.channels import SENSORS, SERVICES, VEHICLE_SERVICES
+from camber.schemas.drive import load_manifest
 from support.running import camber, python
 from support.tree import ROOT
 
@@ -98,10 +100,22 @@ def test_a_vehicle_that_was_not_measured_confirms_nothing() -> None:
 
 
 def test_the_demo_knows_the_vehicle_that_it_drives(tmp_path: Path) -> None:
-    drive = tomllib.loads(write_short_drive(tmp_path).read_text())
-    assert settings_of("demo", "gnss").vehicle == drive["vehicle"]
-    assert settings_of("demo", "gnss").datum == drive["datum"] == settings_of("demo", "map_server").datum
-    assert settings_of("demo", "antenna_height").fixed_height_m == ANTENNA_HEIGHT_M
+    """The car of the simulated city, by what a replay of its drive would set."""
+    begin = ("--set", "duration_s=0.5", "--out", tmp_path, "--quiet")
+    assert camber("simulate", "city", *begin, timeout_s=120.0).returncode == 0
+    inputs = prepare_drive(load_manifest(tmp_path / "drive.toml"), tmp_path / "work")
+    of_a_replay = service_settings(inputs, tmp_path)
+    for service in ("gnss", "map_server", "localizer", "antenna_height"):
+        deployed = settings_of("demo", service).model_dump(exclude_none=True)
+        for name, value in of_a_replay[service].items():
+            if name not in ("vehicle", "clock", "state_dir", "release", "engine"):
+                assert plain(deployed[name]) == plain(value), f"{service}: {name}"
+
+
+def plain(value: Any) -> Any:
+    return (
+        {name: item for name, item in value.items() if item is not None} if isinstance(value, dict) else value
+    )
 
 
 def requirements(*arguments: str) -> subprocess.CompletedProcess[str]:
