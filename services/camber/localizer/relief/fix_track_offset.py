@@ -110,9 +110,7 @@ class FixTrackOffsets:
         ribbon = RoadRibbon(list(self._planes))
         window = _window(self._heights, ribbon, self._model)
         constant = self._solve(window, ribbon, (_NO_SHIFT,))
-        if constant is None:
-            return None
-        if not _fits_unshifted(constant):
+        if constant is None or not _fits_unshifted(constant):
             constant = self._solve(window, ribbon)
             if constant is None:
                 return None

@@ -78,8 +78,8 @@ def estimate_shift(
     max_prior_share: float = 1.0,
     starts: Sequence[Floats] | None = None,
 ) -> ShiftEstimate | None:
-    """Return the shift with least cost; None where the map covers too little of the window, or where the heights leave
-    the prior more than `max_prior_share` by a first estimate at no shift.
+    """Return the shift with least cost; None where the map covers too little of the window there, where it lies in the
+    prior's tails, or where the heights leave the prior more than `max_prior_share` by a first estimate at no shift.
 
     `prior` (k, k): covariance of θ about zero, east and north first. `modes` (n, 2, k - 2): displacement (m) of each
     place by the further parameters, as of heading and wheel scale. `starts`, each (≤ k,): shifts to begin from; None:
@@ -96,6 +96,8 @@ def estimate_shift(
     best = solutions[0]
     unique = not any(_is_rival(other, best) for other in solutions[1:])
     best, rejected = _without_outliers(problem, best)
+    if not problem.is_possible(best):
+        return None
     count = len(window.time_s) - rejected
     covariance = best.covariance * max(1.0, best.chi2 / count)
     return ShiftEstimate(
@@ -269,6 +271,18 @@ class _Problem:
             chi2=chi2,
             cost=chi2 + float(theta @ weight @ theta),
         )
+
+    def is_possible(self, solution: _ShiftSolution) -> bool:
+        """Whether the shift is one of the prior's, and most of the window is on the map there.
+
+        Few heights fit any place: without this an estimate may leave the road that contradicts it.
+        """
+        moved = self._modes @ solution.shift
+        terrain = self._terrain(self._window.east_m + moved[:, 0], self._window.north_m + moved[:, 1])
+        known = float(np.isfinite(terrain.elevation_m).mean())
+        place = solution.shift[:2]
+        tail = float(place @ np.linalg.solve(self._prior[:2, :2], place))
+        return known >= _KNOWN_SHARE and tail <= _AMBIGUOUS_COST
 
     def _linearised(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return whitened residuals (n,) and their negative derivatives (n, k + 1)."""

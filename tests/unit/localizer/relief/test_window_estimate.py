@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from camber.localizer.relief.height_errors import HeightErrorModel
+from camber.localizer.relief.terrain import TerrainHeights
 from camber.localizer.relief.track_errors import track_error_modes
-from camber.localizer.relief.window_estimate import estimate_shift, prior_share
+from camber.localizer.relief.window_estimate import HeightWindow, estimate_shift, prior_share
 from support.made_up_relief import drive, flat, hills
 
 Floats = NDArray[np.float64]
@@ -188,3 +189,30 @@ def test_the_prior_share_bounds_what_a_wrong_prior_does() -> None:
     assert off is not None
     assert abs(off.shift[0] - 12.0 - right.shift[0]) <= 12.0 * right.prior_share + 0.05
     assert prior_share(np.eye(2), 4.0 * np.eye(2)) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("away_m", "known_from_m", "possible"), [(6.0, -1e3, True), (45.0, -1e3, False), (14.0, 700.0, False)]
+)
+def test_no_result_lies_in_the_tails_of_the_prior_or_where_the_map_ends(
+    away_m: float, known_from_m: float, possible: bool
+) -> None:
+    """A bowl, with the prior σ 8 m: its heights say how far away they are, without a limit."""
+
+    def bowl(east_m: Floats, north_m: Floats) -> TerrainHeights:
+        elevation_m = np.where(east_m > known_from_m, 2e-4 * (east_m**2 + north_m**2), np.nan)
+        return TerrainHeights(elevation_m, 4e-4 * east_m, 4e-4 * north_m)
+
+    seconds = np.arange(80.0)
+    window = HeightWindow(
+        time_s=seconds,
+        east_m=15.0 * seconds,
+        north_m=200.0 * np.sin(seconds / 10.0),
+        height_m=2e-4 * ((15.0 * seconds + away_m) ** 2 + (200.0 * np.sin(seconds / 10.0)) ** 2),
+        sigma_m=np.full(80, 0.01),
+        map_sigma_m=np.full(80, 0.03),
+    )
+    estimate = estimate_shift(window, bowl, MODEL, prior=64.0 * np.eye(2), starts=[np.zeros(2)])
+    assert (estimate is not None) is possible
+    if estimate is not None:
+        np.testing.assert_allclose(estimate.shift, (away_m, 0.0), atol=0.5)
