@@ -118,9 +118,9 @@ def _is_control(row: Mapping[str, Any]) -> bool:
 
 
 def _alarms(row: Mapping[str, Any]) -> int:
-    """Causes and issues that name a fault where there is none: each kind of a drive once."""
-    issues = set(row["issues"]) & set(ISSUE_CODES.values())
-    return len(set(row["causes"]) | issues)
+    """Causes that verdicts or issues name where there is no fault: each of a drive once."""
+    by_issue = {cause for cause, code in ISSUE_CODES.items() if code in row["issues"]}
+    return len(set(row["causes"]) | by_issue)
 
 
 def _episodes(figures: Figures) -> str:

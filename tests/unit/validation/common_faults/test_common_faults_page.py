@@ -76,9 +76,9 @@ def test_settings_are_apart() -> None:
     assert len(_lines(assumed, "led away")) == 1
 
 
-def test_a_false_alarm_is_a_cause_or_an_issue_once_a_drive() -> None:
+def test_a_false_alarm_is_a_cause_named_by_verdicts_or_an_issue_once_a_drive() -> None:
     quiet = FIGURES | {"fault": "none", "part": "controls"}
-    loud = quiet | {"causes": {"base": 40}, "issues": {"base_wrong": 2}}
+    loud = quiet | {"causes": {"base": 40}, "issues": {"base_wrong": 2, "fixes_led_away": 1}}
     (row,) = _lines(page([quiet, loud]), "hilly, no LiDAR")
     assert row.split(" | ")[1:3] == ["0.3", "2"]
 
