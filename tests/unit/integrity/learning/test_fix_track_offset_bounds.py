@@ -1,0 +1,83 @@
+"""Statistics of offsets by heights with any covariance, and the bounds at which they become a fault and end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camber.integrity.learning.fix_track_offset import JudgedTrackOffset, TrackFaultRules, TrackFaults
+
+RULES = TrackFaultRules()
+S = 1_000_000_000
+
+
+def offset(east_north_m=(1.7, 0.0), end_s=120, **changes):
+    fields = {
+        "begin_ns": (end_s - 120) * S,
+        "end_ns": end_s * S,
+        "east_north_m": east_north_m,
+        "covariance_m2": (0.04, 0.01, 0.09),
+        "growth_m_s": (0.0, 0.0),
+        "growth_covariance": (4e-5, 0.0, 4e-5),
+    }
+    return JudgedTrackOffset(**fields | changes)
+
+
+def distance2(vector, covariance, more=0.0):
+    ee, en, nn = covariance
+    c = np.array([[ee + more, en], [en, nn + more]])
+    return float(np.array(vector) @ np.linalg.solve(c, np.array(vector)))
+
+
+@pytest.mark.parametrize("vector", [(1.7, 0.4), (-0.6, 1.9), (0.3, -2.2)])
+@pytest.mark.parametrize("covariance", [(0.04, 0.01, 0.09), (0.3, -0.2, 0.2), (1.0, 0.9, 2.0)])
+def test_chi2_is_the_distance_by_the_covariance_with_the_common_error_on_both_axes(vector, covariance):
+    one = offset(vector, covariance_m2=covariance)
+    for common_sigma_m in (0.0, 0.05, 0.6):
+        expected = distance2(vector, covariance, common_sigma_m**2)
+        assert one.chi2(common_sigma_m) == pytest.approx(expected)
+
+
+def test_a_covariance_without_extent_in_one_direction_shows_nothing():
+    assert offset(covariance_m2=(1.0, 1.0, 1.0)).chi2(0.0) == 0.0
+
+
+@pytest.mark.parametrize("growth_m_s", [(0.012, 0.02), (0.02, 0.01), (0.005, 0.025), (0.02, 0.025)])
+def test_what_the_growth_is_nearer_to_by_its_covariance_is_named(growth_m_s):
+    """Of 1.2 m east, 2.4 m north in 120 s: led away they grow by 0.02 m/s and 0.04 m/s."""
+    kinds = set()
+    for covariance in ((4e-6, 0.0, 4e-4), (4e-4, 0.0, 4e-6), (1e-4, 9e-5, 1e-4), (1e-4, -9e-5, 1e-4)):
+        one = offset((1.2, 2.4), growth_m_s=growth_m_s, growth_covariance=covariance)
+        led = growth_m_s[0] - 0.02, growth_m_s[1] - 0.04
+        drift = distance2(led, covariance) < distance2(growth_m_s, covariance)
+        assert one.kind == ("drift" if drift else "base")
+        kinds.add(one.kind)
+    assert kinds == {"base", "drift"}
+
+
+def test_an_operator_reads_the_growth_of_both_directions():
+    led = offset((3.0, -6.0), growth_m_s=(0.05, -0.1))
+    assert led.describe() == "fixes are led away by +0.05 m/s east, -0.10 m/s north, by heights"
+
+
+def test_nothing_is_named_before_two_estimates_of_a_base_without_a_name():
+    faults = TrackFaults(RULES)
+    assert faults.fault is None
+    assert faults.update(offset(), "")
+    assert faults.fault is None
+    assert faults.update(offset(end_s=130), "")
+    assert faults.fault == offset(end_s=130)
+
+
+def test_an_estimate_of_the_least_statistic_itself_is_a_fault_and_one_of_the_last_itself_goes_on():
+    common_sigma_m = RULES.common_sigma_m
+    faults = TrackFaults(replace(RULES, least_chi2=offset().chi2(common_sigma_m)))
+    for end_s in (120, 130):
+        faults.update(offset(end_s=end_s), "base")
+    assert faults.fault is not None
+    small = offset((0.5, 0.0), end_s=140)
+    faults.rules = replace(RULES, ended_chi2=small.chi2(common_sigma_m))
+    faults.update(small, "base")
+    assert faults.fault is not None
+    faults.update(offset((0.49, 0.0), end_s=150), "base")
+    assert faults.fault is None
