@@ -6,9 +6,14 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
+import pytest
+
 from camber.runtime.subscription import Subscription
 from camber.schemas.motion import Motion
 from support.running import CLOCK, bus_of, loopback_router
+
+# It makes its load itself: beside the other tests of processes and the fuzz a queue had to hold more than one epoch.
+pytestmark = pytest.mark.timed
 
 BURSTS = 100
 MESSAGES = 12
