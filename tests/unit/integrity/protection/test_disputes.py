@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.protection.pose_dispute import updated_agreement, updated_dispute
+from camber.integrity.protection.pose_dispute import _is_out_of_reach, updated_agreement, updated_dispute
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
@@ -266,6 +266,45 @@ def test_a_pose_that_jumped_is_in_reach_of_where_it_jumped_from():
     far = replace(jumped, latitude_rad=jumped.latitude_rad + 20.0 / 6.37e6)
     assert disputed(1.0, 20.0, jumped).out_of_reach
     assert not disputed(1.0, 20.0, far).out_of_reach
+
+
+def test_the_pose_can_be_off_by_its_tolerance_what_it_moved_and_the_way_at_full_grip():
+    """10 m/s for 3 s, and 1/2 · 10 m/s² · 9 s²."""
+    since = agreement()
+    standing = sharp_pose(0)
+    assert since.largest_error_m(standing, at(0)) == since.tolerance_m
+    assert since.largest_error_m(standing, at(15)) == pytest.approx(since.tolerance_m + 30.0 + 45.0)
+    assert since.largest_error_m(sharp_pose(15), at(15)) == pytest.approx(
+        since.tolerance_m + 60.0 + 45.0, abs=0.01
+    )
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
+def test_out_of_reach_is_what_the_sigma_of_the_fix_leaves_beyond_it_in_any_direction(direction):
+    """5.7 σ of a fix."""
+    since, sigma_m = agreement(), 0.5
+    reach_m = since.largest_error_m(sharp_pose(1), at(1)) + 5.7 * sigma_m
+    dispute = disputed(1.0, 20.0, since)
+    for off_m, out in ((reach_m - 0.01, False), (reach_m + 0.01, True)):
+        east_m, north_m = (off_m * one for one in direction)
+        newest = replace(
+            dispute,
+            east_m=east_m,
+            north_m=north_m,
+            covariance_enu_m2=(0.25, 0.0, 0.0, 0.1, 0.0, 0.1),
+        )
+        assert _is_out_of_reach(newest, None, sharp_pose(1), since) == out
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
+def test_a_fix_is_of_the_run_within_half_a_metre_of_the_last_in_any_direction(direction):
+    began = replace(disputed(1.0, 20.0, agreement()), east_m=16.0, north_m=12.0)
+    assert began.out_of_reach
+    most_m = 0.5 if 0.0 in direction else 0.499
+    for apart_m, same in ((most_m, True), (0.51, False)):
+        east_m, north_m = (apart_m * one for one in direction)
+        newest = replace(began, east_m=16.0 + east_m, north_m=12.0 + north_m, out_of_reach=False)
+        assert _is_out_of_reach(newest, began, sharp_pose(100), None) == same
 
 
 def test_an_independent_position_excludes_a_pose_that_is_wrong_by_what_is_out_of_reach():

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.protection.latent_fault import LatentFaultHypothesis, MatchCorroboration
+from camber.integrity.protection.latent_fault import (
+    LatentFaultHypothesis,
+    LatentFaultPart,
+    MatchCorroboration,
+)
 from camber.integrity.protection.position_bounds import (
     ErrorMixture,
     LevelRules,
@@ -92,3 +96,72 @@ def test_at_first_fixes_that_are_not_known_may_be_near_or_far():
     assert far.horizontal_m2 == pytest.approx(100.0, rel=0.2)
     assert near.horizontal_m2 == 1.0
     assert far.odds / near.odds == pytest.approx(0.3 / 0.7)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_fault_is_as_wide_as_its_mean_and_its_covariance_together_along_the_worse_axis(axis):
+    mean_m, m2 = [0.0, 0.0, 0.5], [0.1, 0.1]
+    mean_m[axis], m2[axis] = 2.0, 4.0
+    wrong = MixtureComponent(weight=1.0, mean_m=tuple(mean_m), horizontal_m2=(m2[0], 0.0, m2[1]), up_m2=0.75)
+    (part,) = NOTHING.after(at(10), 0.1, [wrong], RULES).parts
+    assert part.horizontal_m2 == 8.0
+    assert part.up_m2 == 1.0
+
+
+def test_what_is_of_one_class_is_one_part_with_the_mean_height():
+    """Odds of 0.03 and 0.01, both between 2^(-2/4) and 2^(-1/4); what has become impossible is left out."""
+    parts = (
+        LatentFaultPart(odds=0.0, horizontal_m2=9.0, up_m2=1.0),
+        LatentFaultPart(odds=0.03, horizontal_m2=0.75, up_m2=1.0, marked_odds=0.02),
+        LatentFaultPart(odds=0.01, horizontal_m2=0.8, up_m2=5.0, marked_odds=0.005),
+    )
+    narrow = LatentFaultPart(odds=0.07, horizontal_m2=0.25, up_m2=2.0, marked_odds=0.03)
+    part, other = (
+        LatentFaultHypothesis(time_ns=at(0), parts=(*parts, narrow)).after(at(0), 0.0, [], RULES).parts
+    )
+    assert part == pytest.approx((0.04, 2.0**-0.25, 2.0, 0.025))
+    assert other == pytest.approx(narrow)
+
+
+def test_at_first_heights_are_those_of_wrong_fixes_and_all_of_it_is_latent():
+    first = LatentFaultHypothesis.initial(RULES)
+    mean_m2 = sum(share * up_m2 for share, (_, _, up_m2) in RULES.parts)
+    assert first.odds == pytest.approx(RULES.prior / (1.0 - RULES.prior))
+    assert sum(part.odds * part.up_m2 for part in first.parts) / first.odds == pytest.approx(mean_m2)
+    components = first.components(1.0)
+    assert len(components) == len(first.parts)
+    assert all(component.is_latent is True for component in components)
+
+
+def test_parts_of_the_least_odds_or_less_are_left_out():
+    latent_fault = NOTHING.after(at(100), 0.5, [off(1.0)], RULES)
+    assert latent_fault.components(1.0, latent_fault.odds) == ()
+    assert len(latent_fault.components(1.0, 0.999 * latent_fault.odds)) == 1
+    assert NOTHING.after(at(0), 1.0, [], RULES).parts == ()
+
+
+def test_a_match_takes_what_was_marked_once_and_from_its_bound_on():
+    latent_fault = NOTHING.after(at(1000), 0.5, [off(2.0)], RULES).marked()
+    left = LEVELS.false_match_prior * latent_fault.odds
+    once = latent_fault.corroborated(4.0, LEVELS)
+    assert once.odds == pytest.approx(left)
+    assert once.corroborated(4.0, LEVELS).odds == pytest.approx(left)
+    assert latent_fault.corroborated(math.nextafter(4.0, 5.0), LEVELS) == latent_fault
+
+
+def test_what_was_marked_fades_as_all_of_it_does():
+    marked = NOTHING.after(at(1000), 0.5, [off(2.0)], RULES).marked()
+    faded = marked.after(at(1050), 0.0, [], RULES)
+    assert faded.odds == pytest.approx(marked.odds * math.exp(-10.0 / RULES.episode_s))
+    assert faded.corroborated(1.0, LEVELS).odds == pytest.approx(LEVELS.false_match_prior * faded.odds)
+
+
+@pytest.mark.parametrize(("sigma_m", "odds"), [(0.5, LEVELS.false_match_prior), (0.51, 1.0)])
+def test_a_match_counts_where_four_of_its_sigma_are_within_the_fault(sigma_m, odds):
+    latent_fault = NOTHING.after(at(1000), 0.5, [off(2.0)], RULES)
+    places = MatchCorroboration(LEVELS)
+    before = latent_fault.odds
+    for k in (1000, 1020, 1040):
+        there = pose(k, mode="scan_match", sigma_m=sigma_m, match_time_ns=at(k))
+        latent_fault = places.update(there, latent_fault)
+    assert latent_fault.odds == pytest.approx(odds * before)

@@ -194,6 +194,7 @@ def test_by_doppler_it_has_come_so_far_and_is_so_much_less_sure():
     assert (result.source, result.time_ns, result.yaw_rad) == ("doppler", at(5), 0.7)
     assert (result.wrong, result.fix_id) == (0.1, 17)
     assert result.covariance_enu_m2 == pytest.approx((1.01, 0.102, 0.203, 2.02, 0.304, 3.03))
+    assert result.up_by_road_m == pytest.approx((0.3, 3.05))
     assert [part.weight for part in result.mixture.parts] == [0.9, 0.1]
     assert [part.mean_m for part in result.mixture.parts] == [NO_OFFSET, (1.0, 2.0, 3.0)]
     assert result.mixture.parts[0].horizontal_m2 == pytest.approx((1.01, 0.102, 2.02))
@@ -267,6 +268,33 @@ def test_a_pose_that_rests_on_no_fix_has_the_components_of_its_covariance_and_of
     assert as_surveyed.up_m2 == pytest.approx(up_m2)
     assert changed.up_m2 == pytest.approx(up_m2 + LEVELS.changed_road_sigma_m**2)
     assert result.mixture.lost == LEVELS.pose_fault_prior
+    assert result.up_by_road_m == pytest.approx((0.0, up_m2))
+
+
+NEGLIGIBLE = LatentFaultHypothesis(
+    time_ns=at(0),
+    parts=(
+        LatentFaultPart(odds=1e-3, horizontal_m2=4.0, up_m2=9.0),
+        LatentFaultPart(odds=4e-12, horizontal_m2=0.5, up_m2=9.0),
+    ),
+)
+"""Of a risk of 1e-7, a ten-thousandth of which is 1e-11."""
+
+
+@pytest.mark.parametrize("source", ["rtk", "sensors"])
+def test_what_is_negligible_has_no_part_and_counts_as_not_bounded(source):
+    candidate = by_fix(judged(), NEGLIGIBLE).candidate if source == "rtk" else by_pose(pose(), NEGLIGIBLE)
+    latent = [part for part in candidate.mixture.parts if part.is_latent]
+    assert latent
+    assert all(part.horizontal_m2[0] > 1.0 for part in latent)
+    known = LEVELS.pose_fault_prior * (candidate.wrong if source == "rtk" else 1.0)
+    assert candidate.mixture.lost == pytest.approx(known + 4e-12, rel=0.0, abs=1e-13)
+
+
+def test_a_fix_under_a_pose_that_says_nothing_against_it_is_wrong_by_shares_of_one():
+    result = by_fix(judged(provisional())).candidate
+    assert len(result.mixture.parts) > 3
+    assert sum(weights(result)) == pytest.approx(1.0)
 
 
 def test_one_that_does_may_have_been_pulled_along_but_its_height_is_that_of_the_road():
