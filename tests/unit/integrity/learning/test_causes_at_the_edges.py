@@ -212,3 +212,20 @@ def test_a_drive_that_begins_on_a_road_that_differs_does_not_name_it_on_another_
     causes = OffsetCauses(RULES, [replace(KNOWN, map_version=KEY.map_version - 1)])
     drive(causes, [VERIFIED] * 3 + [RIGHT] * 5 + [VERIFIED] * 2 + [RIGHT] * 2)
     assert set(causes.roads) == {3}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_height_at_the_limit_may_be_that_of_an_antenna(sign):
+    limit_m = sign * RULES.antenna_limit_m
+    named = result([{"up_m": limit_m}] * 12, every_s=6.0)
+    assert (named.cause, named.up_m) == ("ambiguous", limit_m)
+    assert "antenna or road" in named.text
+    alike = result([{"up_m": limit_m, "east_m": 0.0}] * 60)
+    assert (alike.cause, alike.up_m) == ("antenna", limit_m)
+
+
+def test_one_stretch_that_differs_on_a_surface_of_others_that_do_not_is_no_road():
+    here = [row | {"surface_id": 7} for row in (RIGHT, VERIFIED, RIGHT)]
+    causes = OffsetCauses(RULES)
+    drive(causes, [*[RIGHT | {"surface_id": 1}] * 3, *here, *[RIGHT | {"surface_id": 9}] * 3])
+    assert causes.roads == {}

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from camber.integrity.learning.cell_offset import CauseRules
 from camber.integrity.learning.fix_track_offset import JudgedTrackOffset, TrackFaultRules, TrackFaults
+from camber.integrity.learning.offset_causes import NO_OFFSET, OffsetCauses
+from support.residual_drives import KEY, residual
 
 RULES = TrackFaultRules()
 S = 1_000_000_000
@@ -81,3 +84,40 @@ def test_an_estimate_of_the_least_statistic_itself_is_a_fault_and_one_of_the_las
     assert faults.fault is not None
     faults.update(offset((0.49, 0.0), end_s=150), "base")
     assert faults.fault is None
+
+
+# --- as the cause of verdicts ------------------------------------------------------------------------------------
+
+
+def test_a_cause_by_the_track_is_named_with_its_second_estimate_and_has_its_time_vector_and_text():
+    causes, off = OffsetCauses(CauseRules()), (1.7, -0.4)
+    for epoch in range(200):
+        causes.update(residual(epoch, up_m=0.4, verdict="unknown"), 0.0)
+    up_m = causes.common.up_m
+    assert up_m == pytest.approx(0.4)
+    for epoch, end_s in ((200, 120), (201, 120), (202, 130)):
+        assert causes.common.cause != "base"
+        causes.update(residual(epoch, up_m=0.4, verdict="unknown", track_offset=offset(off, end_s)), 0.0)
+    common = causes.common
+    assert (common.cause, common.onset_ns) == ("base", 10 * S)
+    assert (common.up_m, common.east_north_m) == (up_m, off)
+    assert common.text == (
+        "+0.40 m up, +1.70 m east, -0.40 m north: the track of the fixes is off by one vector, by heights"
+    )
+
+
+def test_two_estimates_of_two_bases_are_no_cause():
+    causes = OffsetCauses(CauseRules())
+    for epoch, base in ((0, "one"), (1, "other")):
+        key = replace(KEY, base=base)
+        causes.update(residual(epoch, key=key, track_offset=offset(end_s=120 + 10 * epoch)), 0.0)
+    assert causes.common == NO_OFFSET
+
+
+def test_a_cause_by_the_independent_position_has_its_onset_too():
+    causes = OffsetCauses(CauseRules())
+    for epoch in range(0, 400, 20):
+        known = (12.0, 0.0, 0.1, 0.0, 0.1, 0.02)
+        one = residual(epoch, up_m=None, independent=known)
+        causes.update(replace(one, evidence_ns=one.time_ns), 0.0)
+    assert (causes.common.cause, causes.common.onset_ns) == ("base", residual(0).time_ns)

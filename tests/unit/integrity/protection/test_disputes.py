@@ -268,7 +268,7 @@ def test_a_pose_that_jumped_is_in_reach_of_where_it_jumped_from():
     assert not disputed(1.0, 20.0, far).out_of_reach
 
 
-def test_the_pose_can_be_off_by_its_tolerance_what_it_moved_and_the_way_at_full_grip():
+def test_the_pose_can_be_off_by_its_tolerance_what_it_moved_and_the_distance_at_full_grip():
     """10 m/s for 3 s, and 1/2 · 10 m/s² · 9 s²."""
     since = agreement()
     standing = sharp_pose(0)
