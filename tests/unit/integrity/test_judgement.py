@@ -87,3 +87,8 @@ def test_another_has_none(verdict):
     verdict = verdict_of(judgement(verdict), SIGMA)
     assert (verdict.latitude_rad, verdict.longitude_rad, verdict.height_m) == (None, None, None)
     assert verdict.covariance_enu_m2 is None
+
+
+@pytest.mark.parametrize("reference", ["required", "assumed"])
+def test_it_has_the_setting_that_it_follows(reference):
+    assert verdict_of(judgement(), SIGMA, reference).horizontal_reference == reference

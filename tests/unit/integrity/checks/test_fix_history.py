@@ -1,7 +1,9 @@
 """What right fixes leave for those to come: where they were, how the road rose, which integers they had."""
 
+import numpy as np
 import pytest
 
+from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.checks.fix_history import FixHistory, is_precise
 from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.checks.verification import VerificationRules
@@ -157,3 +159,49 @@ def test_the_start_counts_what_went_as_far_as_the_wheels_did():
     assert before.start_after(fix(1), SPEED_M_S).fixes == 2
     assert before.start_after(fix(1), 2.0 * SPEED_M_S).fixes == 1
     assert before.start_after(fix(1), None).fixes == 1
+
+
+# --- the hypothesis of a captured pose ----------------------------------------------------------------------------
+
+COMPARED = FixComparison(
+    difference_m=np.array([2.0, -1.0, 0.0]),
+    covariance_m2=np.eye(3),
+    outcome=0,
+    position=0,
+    height_m=0.0,
+    height_sigma_m=0.05,
+    tolerance_m=0.2,
+    acceptance_radius_m=0.5,
+    joint_distance2=None,
+    joint_limit=None,
+)
+
+
+def test_a_fix_that_is_erroneous_is_rejected_and_one_that_is_held_back_contradicts_the_pose():
+    rejected = after(right(3, "erroneous", "position_disagrees", comparison=COMPARED)).captured
+    assert (rejected.rejected_runs, rejected.rival) == (1, None)
+    assert (rejected.rejected.first_ns, rejected.rejected.offset_m) == (at(3), (2.0, -1.0))
+    held_back = after(right(3, "unknown", "position_disagrees", comparison=COMPARED)).captured
+    assert (held_back.rejected_runs, held_back.won) == (0, False)
+    assert held_back.rival.first_ns == at(3)
+    confirmed = after(right(3, "confirmed", "position_disagrees", comparison=COMPARED)).captured
+    assert confirmed.won is True
+
+
+def test_a_hypothesis_of_now_is_kept_and_one_dated_ahead_is_not():
+    before = after(right(3, "unknown", "position_disagrees", comparison=COMPARED))
+    before.forget_after(at(3))
+    assert before.captured.rival is not None
+    before.forget_after(at(3) - 1)
+    assert before.captured.rival is None
+
+
+@pytest.mark.parametrize("satellites", [None, 5, 14])
+def test_the_odds_of_a_run_are_those_of_its_number_of_satellites(satellites):
+    share = Rules().levels.wrong_fix.prior_of(satellites)
+    run = after().run_of(fix(satellites=satellites), (0.0, 0.0))
+    assert run.odds / (1.0 + run.odds) == pytest.approx(share)
+    assert (
+        after().run_of(fix(satellites=5), (0.0, 0.0)).odds
+        > after().run_of(fix(satellites=14), (0.0, 0.0)).odds
+    )

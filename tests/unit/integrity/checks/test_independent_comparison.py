@@ -34,6 +34,19 @@ def test_it_contradicts_beyond_chi_square_of_both_covariances(east_m, north_m, s
     assert not (result.agrees and result.contradicts)
 
 
+@pytest.mark.parametrize(("north_m", "contradicts"), [(1.4, False), (-1.4, True)])
+def test_an_ellipse_that_is_aslant_reaches_farther_in_its_direction(north_m, contradicts):
+    result = compared(fix(east_m=1.4, north_m=north_m), covariance_east_north=(0.25, 0.23, 0.25))
+    assert result.contradicts == contradicts
+
+
+def test_it_is_moved_on_to_the_north_where_the_vehicle_drives_there():
+    there = fix(0, north_m=1.0)
+    driving = pose(independent=independent(), yaw_rad=math.pi / 2.0)
+    offset = offset_from_independent(there.latitude_rad, there.longitude_rad, driving, at(0.5))
+    assert offset.difference_m == pytest.approx((0.0, 0.0), abs=1e-3)
+
+
 def test_it_is_moved_on_to_the_time_of_the_fix_and_widened_by_acceleration():
     half = fix(0.5)  # 0.1 s later, 1 m farther on
     offset = offset_from_independent(

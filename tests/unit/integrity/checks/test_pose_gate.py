@@ -27,8 +27,8 @@ def test_the_pose_is_moved_on_in_its_heading():
 
 @pytest.mark.parametrize("changes", [{"speed_m_s": None}, {"yaw_rad": None}])
 def test_one_that_does_not_say_how_it_moves_stays(changes):
-    east_m, _ = offset_from_pose(*place(1), pose(0, **changes), at(1))
-    assert east_m == pytest.approx(0.2 * SPEED_M_S, abs=1e-3)
+    offset_m = offset_from_pose(*place(1), pose(0, **changes), at(1))
+    assert offset_m == pytest.approx((0.2 * SPEED_M_S, 0.0), abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -229,3 +229,9 @@ def test_one_stretch_that_differs_on_a_surface_of_others_that_do_not_is_no_road(
     causes = OffsetCauses(RULES)
     drive(causes, [*[RIGHT | {"surface_id": 1}] * 3, *here, *[RIGHT | {"surface_id": 9}] * 3])
     assert causes.roads == {}
+
+
+def test_a_height_of_the_least_that_counts_is_a_cause_and_a_smaller_one_is_none():
+    sure = {"fix_sigma_m": 1e-3, "map_sigma_m": 1e-3}
+    for up_m, cause in ((RULES.least_height_m, "ambiguous"), (0.999 * RULES.least_height_m, "none")):
+        assert result([sure | {"up_m": up_m}] * 12, every_s=6.0).cause == cause

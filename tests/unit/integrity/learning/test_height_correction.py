@@ -451,3 +451,8 @@ def test_an_erroneous_run_is_named_and_not_learnt(learnt):
     assert update(learnt, 1200, 1800, up_m=0.6, verdict="erroneous").correction_m == before
     assert learnt.diagnosis(None).cause == "antenna"
     assert learnt.diagnosis(None).up_m == pytest.approx(0.6 - before, abs=0.01)
+
+
+def test_causes_take_the_map_errors_of_the_learning():
+    errors = MapErrorModel(common_offset_sigma_m=0.3)
+    assert Learning(replace(RULES, map_errors=errors)).causes.rules.map_errors is errors

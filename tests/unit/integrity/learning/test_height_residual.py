@@ -191,3 +191,16 @@ def test_without_an_independent_position_at_its_time_a_fix_that_was_not_compared
     assert without_comparison(pose(3)) is None
     standing = {"speed_m_s": None, "yaw_rad": None, "independent": independent("relief")}
     assert without_comparison(pose(2, **standing)) is None
+
+
+def test_its_horizontal_sigma_is_that_of_the_fix_and_of_the_independent_position():
+    there = SEEN.model_copy(
+        update={
+            "independent": independent("scan_match").model_copy(
+                update={"covariance_east_north": (0.25, 0.0, 0.09)}
+            )
+        }
+    )
+    of = residual(pose=there, fix=fix(3, covariance_enu_m2=(4.0, 0.0, 0.0, 4.0, 0.0, 4.0)))
+    assert of.independent[5] > 1.5
+    assert of.horizontal_sigma_m == pytest.approx(math.hypot(0.5, of.independent[5]))

@@ -332,3 +332,17 @@ def test_an_agreement_that_is_dated_ahead_is_none():
     the_pose = sharp_pose(502, independent=independent(502, sigma_m=0.1))
     inputs = EpochInputs(pose=the_pose, antenna=antenna(502), alive=ALL)
     assert not positions.at(at(502), inputs, 0.0).usable
+
+
+def test_an_agreement_lasts_over_fixes_that_are_none_and_until_it_is_dated_ahead():
+    """The fix at the far place would be in reach of nothing if the agreement were forgotten."""
+    positions = after(replace(examined(0), verdict="confirmed"))
+    since = positions._agreement
+    assert since.time_ns == at(0)
+    positions.update_dispute(replace(examined(1), verdict="unknown", reason="height_unverified"))
+    assert positions._agreement is since
+    limit_ns = round(RULES.future_limit_s * 1e9)
+    positions.forget_future(at(0) - limit_ns)
+    assert positions._agreement is since
+    positions.forget_future(at(0) - limit_ns - 1)
+    assert positions._agreement is None

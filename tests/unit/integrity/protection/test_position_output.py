@@ -8,7 +8,11 @@ from hypothesis import strategies as st
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
-from camber.integrity.protection.position_output import PositionOutput, _distance2
+from camber.integrity.protection.position_output import (
+    PositionOutput,
+    _distance2,
+    unavailable_position,
+)
 from camber.integrity.rules import Rules
 from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose
 
@@ -31,6 +35,13 @@ def test_a_pose_stands_on_the_road_with_its_antenna():
     assert position.height_m == pytest.approx(ROAD_M + ANTENNA_M + 0.05)
     assert position.fix_id is None
     assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2)
+
+
+@pytest.mark.parametrize("reference", ["required", "assumed"])
+def test_where_there_is_none_the_setting_is_there_all_the_same(reference):
+    position = unavailable_position(at(0), "pose_missing", Rules(horizontal_reference=reference))
+    assert (position.source, position.usable, position.reason) == ("none", False, "pose_missing")
+    assert position.horizontal_reference == reference
 
 
 # --- verdicts ----------------------------------------------------------------------------------------------------

@@ -353,3 +353,9 @@ def test_draws_of_a_mixture_are_inside_its_ellipse_as_often_as_promised():
 def test_a_first_part_without_an_ellipse_has_no_scale(covariance):
     tails = in_ellipses(np.ones((1, 1)), np.zeros((1, 1, 2)), np.array(covariance)[None, None])
     assert level(tails, 0.01) == math.inf
+
+
+@pytest.mark.parametrize("mean_m", [0.0, 0.3])
+def test_a_smaller_variance_that_rounding_has_made_negative_is_none(mean_m):
+    rounded, exact_m = (levels_m([(1.0, mean_m, 0.0, 0.5, s)], [1e-3])[0] for s in (-1e-10, 0.0))
+    assert rounded == pytest.approx(exact_m, rel=1e-9)
