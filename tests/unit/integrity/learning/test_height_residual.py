@@ -187,6 +187,13 @@ def test_a_fix_that_was_not_compared_differs_from_the_independent_position_alone
     assert of.key.antenna == "fixed"
 
 
+def test_a_fix_that_was_not_compared_has_the_link_and_the_map_of_the_pose_and_the_speed():
+    there = pose(3, link_id=5, speed_m_s=None, yaw_rad=None, independent=independent("relief"))
+    of = without_comparison(there)
+    assert of is not None, "the pose is of its time: it need not be moved on"
+    assert (of.link_id, of.speed_m_s, of.key.map_version) == (5, 10.0, 3)
+
+
 def test_without_an_independent_position_at_its_time_a_fix_that_was_not_compared_shows_nothing():
     assert without_comparison(pose(3)) is None
     standing = {"speed_m_s": None, "yaw_rad": None, "independent": independent("relief")}
