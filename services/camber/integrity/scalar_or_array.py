@@ -8,18 +8,12 @@ zero (NaN will do), for that would raise. Both kinds of number give the same bit
 from __future__ import annotations
 
 import math
-from types import ModuleType
 from typing import Any, TypeAlias
 
 import numpy as np
 
 FloatOrArray: TypeAlias = Any
 """A float or an array of them, all (n,); outcomes and booleans too. numpy's types cannot say that both agree."""
-
-
-def functions_of(value: FloatOrArray) -> ModuleType:
-    """Where the functions of its kind of number are, under the same names: `sqrt`, `exp`, `log`, `log1p`."""
-    return np if isinstance(value, np.ndarray) else math
 
 
 def any_of(condition: FloatOrArray) -> bool:

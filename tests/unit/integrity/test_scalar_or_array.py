@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from hypothesis import strategies as st
 
 from camber.integrity.scalar_or_array import (
     any_of,
+    exp,
     finite_or_inf,
-    functions_of,
     larger_eigenvalue,
     log,
     log_sum_exp,
@@ -61,9 +63,9 @@ def test_a_condition_applies_to_one_at_least() -> None:
     assert (any_of(True), any_of(False)) == (True, False)
 
 
-@pytest.mark.parametrize("name", ["sqrt", "exp", "log", "log1p"])
-def test_both_kinds_find_their_functions_under_one_name(name: str) -> None:
-    one, many = (getattr(functions_of(x), name)(x) for x in (0.3, np.array([0.3])))
+@pytest.mark.parametrize("function", [sqrt, exp, log])
+def test_a_function_of_a_float_is_one_and_of_an_array_as_many(function: Callable[[Any], Any]) -> None:
+    one, many = (function(x) for x in (0.3, np.array([0.3])))
     assert isinstance(one, float)
     assert many.shape == (1,)
     assert one == pytest.approx(many[0], rel=1e-15)

@@ -93,8 +93,8 @@ def common_fault_odds(
     log_alone = half - 1.0 - math.log(half) if half > 1.0 else 0.0
     ee, en, nn = covariance_m2
     fault_m2 = rules.independent_sigma_m**2
-    determinant, wider = ee * nn - en * en, (ee + fault_m2) * (nn + fault_m2) - en * en
-    peak = math.sqrt(determinant / wider) if 0.0 < determinant < wider < math.inf else 1.0
+    usual, wider = determinant(covariance_m2), determinant((ee + fault_m2, en, nn + fault_m2))
+    peak = math.sqrt(usual / wider) if 0.0 < usual < wider < math.inf else 1.0
     return CommonFaultOdds(
         alone=rules.prior_odds * math.exp(log_alone),
         with_independent=rules.prior_odds * rules.independent_prior * peak * math.exp(half),

@@ -28,7 +28,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.scalar_or_array import FloatOrArray, any_of, functions_of, logical_not, where
+from camber.integrity.scalar_or_array import FloatOrArray, any_of, log, logical_not, sqrt, where
 
 Floats: TypeAlias = NDArray[np.float64]
 TailComponent: TypeAlias = tuple[FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray]
@@ -111,8 +111,7 @@ class _TailProbability:
 
     def level_m(self, risk: FloatOrArray) -> FloatOrArray:
         """By what the nodes say, of a float one, of (n,) as many."""
-        by = functions_of(risk)
-        log_risk = by.log(risk)
+        log_risk = log(risk)
         low, high, at = self._about(log_risk)
         result: FloatOrArray = False
         steps = 0
@@ -121,13 +120,13 @@ class _TailProbability:
             probability, slope = self._beyond(at)
             kept = probability <= risk
             high, low = where(kept, at, high), where(kept, low, at)
-            above = by.log(probability + _LEAST) - log_risk + _AIM
+            above = log(probability + _LEAST) - log_risk + _AIM
             result = (kept & (above >= -_AIM)) | (high - low <= _NARROW * high)
             at = at + above * probability / (_LEAST - slope)
             at = where((at > low) & (at < high), at, 0.5 * (low + high))
             # Once found a level stays as it is: it does not depend on those beside it.
             at = where(result, high, at)
-        return by.sqrt(high)
+        return sqrt(high)
 
     def _beyond(self, level_m2: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray]:
         """P(|error| > L), or never less, and its slope over L²."""

@@ -212,7 +212,8 @@ class PoseFilter:
         if not self._initialization.heading_known:
             if step.outcome == "gap":
                 self._initialization.lose_heading(self._track_now())
-            self._initialization.spread(self._track_now())
+            else:
+                self._initialization.spread(self._track_now())
         elif self._provenance != "none":
             self._drop_lost_estimates()
         self._odometry.advance(sample.time_ns, step)

@@ -92,9 +92,9 @@ class StartFromFixes:
             return None
         if self._fixes and time_ns <= self._fixes[-1].time_ns:
             return None
-        if self._fixes and time_ns - self._fixes[-1].time_ns > _MAX_GAP_S * 1e9:
-            self._fixes.clear()
-        if self._fixes and track.at(self._fixes[0].time_ns) is None:
+        if self._fixes and (
+            time_ns - self._fixes[-1].time_ns > _MAX_GAP_S * 1e9 or track.at(self._fixes[0].time_ns) is None
+        ):
             self._fixes.clear()
         self._fixes.append(_TimedPosition(time_ns, TrackedPosition(east_m, north_m, variance, here)))
         oldest_ns = time_ns - round(_WINDOW_S * 1e9)

@@ -112,8 +112,8 @@ class FixTrackOffsets:
         constant = self._solve(window, ribbon, (_NO_SHIFT,))
         if constant is None or not _fits_unshifted(constant):
             constant = self._solve(window, ribbon)
-            if constant is None:
-                return None
+        if constant is None:
+            return None
         growing = self._solve(window, ribbon, (constant.shift,), growing=True)
         if growing is None:
             return None

@@ -20,7 +20,7 @@ import numpy as np
 
 from camber.localizer.arrays import Floats, Mask
 from camber.localizer.relief.height_errors import HeightErrorModel
-from camber.localizer.relief.terrain import TerrainAt
+from camber.localizer.relief.terrain import TerrainAt, TerrainHeights
 
 _STEP_M = 4.0  # chosen: below a quarter of the shortest waves of a road's profile that carry information
 _GRID_SIGMAS = 2.5  # chosen: 96 % of the prior; its tails are part of no result (`prior_share`)
@@ -29,6 +29,7 @@ _MOST_MINIMA = 8  # chosen
 _ITERATIONS = 8  # chosen: Gauss-Newton converges in three to five
 _CONVERGED_M = 0.01  # chosen: far below any σ of a shift
 _AMBIGUOUS_COST = 18.4  # chi-square, 2 degrees of freedom, 99.99 %
+_PRIOR_TAIL_CHI2 = 18.4  # the same
 _OUTLIER_SIGMAS = 4.0  # chosen: one right observation in 16,000
 _MOST_REJECTED_SHARE = 0.2  # chosen: of more, the track or the map is wrong
 _REJECTED_SIGMA_M = 100.0  # chosen: any height
@@ -277,17 +278,19 @@ class _Problem:
 
         Few heights fit any place: without this an estimate may leave the road that contradicts it.
         """
-        moved = self._modes @ solution.shift
-        terrain = self._terrain(self._window.east_m + moved[:, 0], self._window.north_m + moved[:, 1])
-        known = float(np.isfinite(terrain.elevation_m).mean())
+        known = float(np.isfinite(self._terrain_moved(solution.shift).elevation_m).mean())
         place = solution.shift[:2]
         tail = float(place @ np.linalg.solve(self._prior[:2, :2], place))
-        return known >= _KNOWN_SHARE and tail <= _AMBIGUOUS_COST
+        return known >= _KNOWN_SHARE and tail <= _PRIOR_TAIL_CHI2
+
+    def _terrain_moved(self, parameters: Floats) -> TerrainHeights:
+        """Return the map below the window's places, moved by the parameters (k,)."""
+        moved = self._modes @ parameters
+        return self._terrain(self._window.east_m + moved[:, 0], self._window.north_m + moved[:, 1])
 
     def _linearised(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return whitened residuals (n,) and their negative derivatives (n, k + 1)."""
-        moved = self._modes @ theta[:-1]
-        terrain = self._terrain(self._window.east_m + moved[:, 0], self._window.north_m + moved[:, 1])
+        terrain = self._terrain_moved(theta[:-1])
         known = np.isfinite(terrain.elevation_m)
         residual = _interpolated(self._window.height_m - terrain.elevation_m - theta[-1], known)
         slopes = np.column_stack([terrain.slope_east, terrain.slope_north])
