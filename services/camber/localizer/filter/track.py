@@ -41,6 +41,8 @@ class RelativeTrack:
         self._times_ns: list[int] = []
         self._points: list[TrackPoint] = []
         self._speed_m_s = self._rate_rad_s = 0.0
+        self.begin_ns: int | None = None
+        """Since when the track has had no gap; None before any motion. It is kept for less long."""
 
     def append(self, time_ns: int, step: MotionStep, speed_m_s: float, rate_rad_s: float) -> None:
         """Extend the track by a step at corrected speed and yaw rate; times must increase."""
@@ -51,7 +53,8 @@ class RelativeTrack:
         else:
             wheel_m += step.speed_m_s * step.dt_s + step.creep_m
         moved = _moved(here, step.dt_s, speed_m_s * step.dt_s + step.creep_m, rate_rad_s)
-        if step.outcome == "gap":
+        if self.begin_ns is None or step.outcome == "gap":
+            self.begin_ns = time_ns
             self._times_ns.clear()
             self._points.clear()
         self._points.append(moved._replace(wheel_m=wheel_m, wheel_m_s=step.wheel_m_s))
@@ -60,11 +63,6 @@ class RelativeTrack:
         if self._times_ns[0] < time_ns - 2 * self._keep_ns:
             first = bisect.bisect_left(self._times_ns, time_ns - self._keep_ns)
             del self._times_ns[:first], self._points[:first]
-
-    @property
-    def begin_ns(self) -> int | None:
-        """Time of the first point, None without one."""
-        return self._times_ns[0] if self._times_ns else None
 
     def at(self, time_ns: int) -> TrackPoint | None:
         """Return the interpolated point, or one extrapolated shortly beyond the end; None outside."""

@@ -173,6 +173,15 @@ def test_what_was_measured_before_a_gap_gives_no_heading_after_it():
     assert abs(vehicle.error()[2]) < 4.0 * math.sqrt(vehicle.filter.estimate().covariance[2, 2]) < 0.2
 
 
+def test_a_long_stop_is_no_gap_in_the_track():
+    vehicle = agile()
+    begin_ns = vehicle.filter.track.begin_ns
+    vehicle.drive(300.0, 0.0)
+    assert vehicle.filter.track.begin_ns == begin_ns
+    unseen(vehicle, [(2.0, 9.0)])
+    assert vehicle.filter.track.begin_ns == vehicle.time_ns
+
+
 def test_the_yaw_rate_bias_is_learnt_at_a_standstill():
     after, before = (agile(seed=3) for _ in range(2))
     for vehicle, wait_s in ((before, 0.0), (after, 60.0)):
