@@ -12,14 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from camber.formats.foxglove.protobuf import tag, varint
+from camber.formats.foxglove.protobuf import BITS_32, LENGTH, VARINT, tag, varint
 from camber.schemas.base import Int64
 
 EXTENT = 8192
 """Units of a tile's side; as MapLibre GL keeps them: 6 cm of a tile of 500 m."""
 _GEOMETRY = {"LineString": 2, "Polygon": 3}
 _MOVE_TO, _LINE_TO, _CLOSE = 1, 2, 7  # commands of the specification, section 4.3.1
-_VARINT, _LENGTH, _FIXED32 = 0, 2, 5  # wire types of protocol buffers
 Value = int | float
 
 
@@ -91,14 +90,14 @@ def _varints(values: Sequence[int]) -> bytes:
 
 
 def _integer(number: int, value: int) -> bytes:
-    return tag(number, _VARINT) + varint(value)
+    return tag(number, VARINT) + varint(value)
 
 
 def _bytes(number: int, data: bytes) -> bytes:
-    return tag(number, _LENGTH) + varint(len(data)) + data
+    return tag(number, LENGTH) + varint(len(data)) + data
 
 
 def _value(value: Value) -> bytes:
     if isinstance(value, int):
         return _integer(6, value << 1 ^ value >> 63)
-    return tag(2, _FIXED32) + struct.pack("<f", value)
+    return tag(2, BITS_32) + struct.pack("<f", value)

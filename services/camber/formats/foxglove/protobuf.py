@@ -15,8 +15,9 @@ from typing import Any
 
 _DOUBLE, _INT64, _INT32, _FIXED32, _BOOL, _STRING, _MESSAGE, _BYTES, _ENUM = 1, 3, 5, 7, 8, 9, 11, 12, 14
 """Types of FieldDescriptorProto."""
-_VARINT, _BITS_64, _LENGTH, _BITS_32 = 0, 1, 2, 5  # wire types
-_WIRE = {_DOUBLE: _BITS_64, _FIXED32: _BITS_32, _STRING: _LENGTH, _MESSAGE: _LENGTH, _BYTES: _LENGTH}
+VARINT, BITS_64, LENGTH, BITS_32 = 0, 1, 2, 5
+"""Wire types."""
+_WIRE = {_DOUBLE: BITS_64, _FIXED32: BITS_32, _STRING: LENGTH, _MESSAGE: LENGTH, _BYTES: LENGTH}
 _REPEATED = 3  # label of FieldDescriptorProto
 _MASK_64 = (1 << 64) - 1  # a negative number is a varint of 64 bits
 _LONGEST_VARINT = 10  # bytes, by the encoding
@@ -41,7 +42,7 @@ class Field:
     @property
     def wire(self) -> int:
         """The wire type of one value."""
-        return _WIRE.get(self.kind, _VARINT)
+        return _WIRE.get(self.kind, VARINT)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -79,7 +80,7 @@ def _encoded(kind: MessageType, values: Values) -> bytes:
             parts += _one(described, value) if value or described.kind == _MESSAGE else []
         elif described.kind == _DOUBLE:
             packed = struct.pack(f"<{len(value)}d", *value)
-            parts += [tag(described.number, _LENGTH), varint(len(packed)), packed]
+            parts += [tag(described.number, LENGTH), varint(len(packed)), packed]
         else:
             for item in value:
                 parts += _one(described, item)
@@ -92,7 +93,7 @@ def _one(described: Field, value: Any) -> Sequence[bytes]:
         return start, struct.pack("<d", value)
     if described.kind == _FIXED32:
         return start, struct.pack("<I", value)
-    if described.wire == _VARINT:
+    if described.wire == VARINT:
         return start, varint(int(value) & _MASK_64)
     if described.of is not None:
         value = _encoded(described.of, value)
@@ -122,7 +123,7 @@ def _decoded(kind: MessageType, data: bytes) -> dict[str, Any]:
         described = by_number.get(number)
         if described is None:
             continue
-        if described.repeated and described.kind == _DOUBLE and wire == _LENGTH:
+        if described.repeated and described.kind == _DOUBLE and wire == LENGTH:
             values[described.name] = list(struct.unpack(f"<{len(value) // 8}d", value))
             continue
         if wire != described.wire:
@@ -155,14 +156,14 @@ def _wire_values(data: bytes) -> Iterator[tuple[int, int, Any]]:
     while position < len(data):
         start, position = _read_varint(data, position)
         number, wire = start >> 3, start & 7
-        if wire == _VARINT:
+        if wire == VARINT:
             value, position = _read_varint(data, position)
             yield number, wire, value
             continue
-        if wire == _LENGTH:
+        if wire == LENGTH:
             length, position = _read_varint(data, position)
         else:
-            length = {_BITS_64: 8, _BITS_32: 4}.get(wire, -1)
+            length = {BITS_64: 8, BITS_32: 4}.get(wire, -1)
         if length < 0 or position + length > len(data):
             raise ProtobufError(f"field {number} of wire type {wire} at byte {position} of {len(data)}")
         yield number, wire, data[position : position + length]
@@ -200,14 +201,14 @@ def _message_type(name: str) -> MessageType:
 
 
 def _field(described: bytes) -> Field:
-    numbers = {number: value for number, wire, value in _wire_values(described) if wire == _VARINT}
+    numbers = {number: value for number, wire, value in _wire_values(described) if wire == VARINT}
     return Field(
         name=_text(described, 1), number=numbers[3], kind=numbers[5], repeated=numbers[4] == _REPEATED
     )
 
 
 def _all(data: bytes, number: int) -> list[bytes]:
-    return [value for n, wire, value in _wire_values(data) if n == number and wire == _LENGTH]
+    return [value for n, wire, value in _wire_values(data) if n == number and wire == LENGTH]
 
 
 def _text(data: bytes, number: int) -> str:
