@@ -32,8 +32,6 @@ export class CamberCharts extends HTMLElement {
 
   definitions() {
     const { store } = this, words = store.words.verdict;
-    const dots = name => ({ stroke: colour(name), width: 0, paths: () => null, points: { show: true, size: 5, width: 0, fill: colour(name) } });
-    const line = (name, dash) => ({ stroke: colour(name), width: 1.6, dash, points: { show: false } });
     return [
       {
         title: "Height difference", table: "verdict", unit: "m", labels: [...words.map(plain), "tolerance"],
@@ -205,8 +203,10 @@ export class CamberCharts extends HTMLElement {
   }
 }
 
-const known = value => Number.isFinite(value) ? value : null;
-const positive = value => value > 0 && Number.isFinite(value) ? value : null;
+export const dots = name => ({ stroke: colour(name), width: 0, paths: () => null, points: { show: true, size: 5, width: 0, fill: colour(name) } });
+export const line = (name, dash) => ({ stroke: colour(name), width: 1.6, dash, points: { show: false } });
+export const known = value => Number.isFinite(value) ? value : null;
+export const positive = value => value > 0 && Number.isFinite(value) ? value : null;
 
 // Rows between two times, of many the extreme ones of each piece.
 function shownRows(table, begin, end, values) {
@@ -232,7 +232,7 @@ function heightLimit(a, rows) {
   return Math.min(4 * most, 20);
 }
 
-function decades(low, high) {
+export function decades(low, high) {
   if (!(low > 0)) return [.1, 100];
   return [10 ** (Math.floor(Math.log10(low) * 2) / 2), 10 ** (Math.ceil(Math.log10(high * 1.05) * 2) / 2)];
 }

@@ -1,17 +1,13 @@
 // The map: roads of the release, the track by verdict, the newest fix beside the confirmed position, both to scale.
 
 import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
-import { colour, element, metres, plain, remPx, VERDICT_COLOURS } from "./dom.js";
+import { colour, element, plain, remPx, VERDICT_COLOURS } from "./dom.js";
+import { drawLegend, drawScaleAndNorth, keyLines, rampLines, RAMPS } from "./map_marks.js";
 import { Overlay, stateAt } from "./overlay.js";
 import { PointsLayer } from "./points.js";
 import { rgba, TrackLayer } from "./track.js";
 
 const NEAR_PX = 14;
-const RAMPS = {
-  sigma: { title: "σ of road height", stops: [[.01, "#4f8f83"], [.03, "#8fb573"], [.06, "#e0cf6a"], [.12, "#e29a4b"], [.3, "#b65a6a"]], ends: ["1 cm", "30 cm"] },
-  day: { title: "road last seen", stops: [[0, "#4f8f83"], [30, "#8fb573"], [180, "#e0cf6a"], [365, "#e29a4b"], [1460, "#b65a6a"]], ends: ["today", "4 years ago"] },
-  level: { title: "level", stops: [[-1, "#5566aa"], [0, "#9aa5b4"], [1, "#9b6fd0"], [2, "#d16fb0"]], ends: ["−1", "2"] },
-};
 
 export class CamberMap extends HTMLElement {
   start(store, view) {
@@ -236,11 +232,8 @@ export class CamberMap extends HTMLElement {
   }
 
   drawKey() {
-    const ramp = RAMPS[this.view.colour], line = ([kind, name, text]) => element("div", {}, element("i", { class: kind, style: { background: colour(name), borderColor: colour(name) } }), text);
     this.key.dataset.words = String(this.store.words.verdict);
-    const gradient = `linear-gradient(90deg, ${ramp.stops.map(stop => stop[1]).join(", ")})`;
-    this.key.replaceChildren(element("summary", {}, "key"), ...this.legend().map(line),
-      ...(this.store.greeting?.map ? [element("div", {}, ramp.title), element("div", {}, ramp.ends[0], element("i", { class: "ramp", style: { background: gradient } }), ramp.ends[1])] : []));
+    this.key.replaceChildren(element("summary", {}, "key"), ...keyLines(this.legend()), ...(this.store.greeting?.map ? rampLines(RAMPS[this.view.colour]) : []));
   }
 
   // The map as it is now, with its scale and north, on a canvas.
@@ -251,8 +244,10 @@ export class CamberMap extends HTMLElement {
         const source = this.map.getCanvas(), copy = element("canvas", { width: source.width, height: source.height }), c = copy.getContext("2d");
         c.drawImage(source, 0, 0);
         c.drawImage(this.overlay.canvas, 0, 0, copy.width, copy.height);
-        drawScaleAndNorth(c, copy, this.map);
-        drawLegend(c, copy, this.map, this.legend());
+        const factor = copy.width / this.canvas.clientWidth, y = this.canvas.clientHeight / 2;
+        const metresPerPixel = this.map.unproject([0, y]).distanceTo(this.map.unproject([100, y])) / 100;
+        drawScaleAndNorth(c, copy, { factor, metresPerPixel, bearing: this.map.getBearing() });
+        drawLegend(c, copy, factor, this.legend());
         done(copy);
       });
       this.map.triggerRepaint();
@@ -268,44 +263,6 @@ function rampExpression(name) {
 
 function hasWebGL() {
   try { return Boolean(document.createElement("canvas").getContext("webgl2")); } catch { return false; }
-}
-
-function drawLegend(c, { width, height }, map, entries) {
-  const factor = width / map.getContainer().clientWidth, line = 17 * factor, left = width - 190 * factor;
-  c.font = `${12 * factor}px system-ui, sans-serif`;
-  c.fillStyle = colour("card") + "e0";
-  c.fillRect(left - 10 * factor, height - (entries.length + 1) * line, 200 * factor, (entries.length + 1) * line);
-  entries.forEach(([kind, name, text], k) => {
-    const y = height - (entries.length - k) * line;
-    c.beginPath();
-    c.arc(left + 5 * factor, y - 4 * factor, 4.5 * factor, 0, 2 * Math.PI);
-    c.fillStyle = c.strokeStyle = colour(name);
-    c.lineWidth = 2 * factor;
-    if (kind === "dot") c.fill(); else c.stroke();
-    c.fillStyle = colour("ink");
-    c.fillText(text, left + 18 * factor, y);
-  });
-}
-
-function drawScaleAndNorth(c, { width, height }, map) {
-  const factor = width / map.getContainer().clientWidth, y = map.getContainer().clientHeight / 2;
-  const perPixel = map.unproject([0, y]).distanceTo(map.unproject([100, y])) / 100, most = 140 * perPixel, decade = 10 ** Math.floor(Math.log10(most));
-  const length = [5, 2, 1].map(step => step * decade).find(step => step <= most), pixels = length / perPixel * factor;
-  c.strokeStyle = c.fillStyle = colour("ink");
-  c.lineWidth = 2 * factor;
-  c.font = `${13 * factor}px system-ui, sans-serif`;
-  c.beginPath();
-  c.moveTo(16 * factor, height - 24 * factor); c.lineTo(16 * factor, height - 16 * factor); c.lineTo(16 * factor + pixels, height - 16 * factor); c.lineTo(16 * factor + pixels, height - 24 * factor);
-  c.stroke();
-  c.fillText(metres(length, length < 1 ? 2 : 0), 20 * factor, height - 22 * factor);
-  c.save();
-  c.translate(width - 30 * factor, 40 * factor);
-  c.rotate(-map.getBearing() * Math.PI / 180);
-  c.beginPath();
-  c.moveTo(0, -20 * factor); c.lineTo(8 * factor, 8 * factor); c.lineTo(0, 2 * factor); c.lineTo(-8 * factor, 8 * factor);
-  c.fill();
-  c.fillText("N", -5 * factor, 24 * factor);
-  c.restore();
 }
 
 customElements.define("camber-map", CamberMap);

@@ -92,18 +92,16 @@ class CamberFix extends Panel {
       ["lasting cause", cause === "none" ? null : plain(cause)],
       ["true error", Number.isFinite(a.error_m[at]) ? metres(a.error_m[at]) : null],
     ]);
-    this.fetchDetail(verdict.first + at);
+    this.showDetail(verdict.first + at);
   }
 
-  async fetchDetail(row) {
+  async showDetail(row) {
     const key = `${this.store.generation}/${row}`;
     if (key === this.asked) return;
     this.asked = key;
     setText(this.detail, "");
-    try {
-      const reply = await fetch(`verdict/${key}`), { detail } = reply.ok ? await reply.json() : {};
-      if (key === this.asked) setText(this.detail, detail ?? "");
-    } catch { /* the server is gone: the bar says so */ }
+    const text = await this.store.detail(row);
+    if (key === this.asked) setText(this.detail, text);
   }
 
   show() {

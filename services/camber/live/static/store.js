@@ -108,6 +108,14 @@ export class Store extends EventTarget {
   // Whether a recording has been read and all of it is here.
   get complete() { return Boolean(this.status?.rows) && Object.values(this.tables).every((table, k) => table.first + table.length >= this.status.rows[k]); }
 
+  // The judge's own text of a verdict, by the number of its row.
+  async detail(row) {
+    try {
+      const reply = await fetch(`verdict/${this.generation}/${row}`);
+      return reply.ok ? (await reply.json()).detail ?? "" : "";
+    } catch { return ""; /* the server is gone: the bar says so */ }
+  }
+
   word(list, place) { return Number.isFinite(place) ? this.words[list]?.[place] ?? "" : ""; }
 }
 
