@@ -20,11 +20,11 @@ from figure import Figure, higher, least_s, lower, per_call_us, percentiles
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.map_server.road_selection import SelectedRoads
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.release import read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.road import ElevationReply, ElevationRequest

@@ -23,7 +23,7 @@ import numpy as np
 from figure import Figure, least_s, lower
 from numpy.typing import NDArray
 
-from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria, resolve
+from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria, resolve
 from support.ambiguity_models import drawn, float_covariance
 
 Floats = NDArray[np.float64]

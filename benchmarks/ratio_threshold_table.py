@@ -1,4 +1,4 @@
-"""Makes the table of `gnss.ambiguity.ratio_thresholds` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
+"""Makes the table of `gnss.ambiguity.ratio_threshold_table` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
 
 For each number of ambiguities and each bootstrapped failure rate: float ambiguities of random geometries, or the most
 precise of more decorrelated ones, their covariance scaled until bootstrapping fails just so often; then the ratio that
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.compiled.decorator import compiled
+from camber.gnss.ambiguity.ambiguity_resolution import bootstrapped_log_success
 from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
-from camber.gnss.ambiguity.resolution import bootstrapped_log_success
 from support.ambiguity_models import float_covariance
 
 Floats = NDArray[np.float64]

@@ -12,9 +12,9 @@ import argparse
 
 import numpy as np
 
+from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria, resolve
 from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
-from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria, resolve
 
 FLOATS = np.array([5.450, 3.100, 2.970])  # cycles
 COVARIANCE = np.array([[6.290, 5.978, 0.544], [5.978, 6.292, 2.340], [0.544, 2.340, 6.288]])  # cycles²

@@ -52,7 +52,7 @@ from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe, ubx_frame
 from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
     QueuedContribution,

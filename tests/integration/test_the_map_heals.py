@@ -16,7 +16,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.formats.drive.truth_csv import FIX_STATES
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.map_update.contribution import OBSERVATION
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.replay.short_drive import ANTENNA_HEIGHT_M, RATE_HZ, short_drive_truth, write_short_drive

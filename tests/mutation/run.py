@@ -245,7 +245,7 @@ def _report(results: dict[str, str], modules: list[str], folder: Path) -> int:
 
 
 def _module_of(mutant: str) -> str:
-    """The module below the package, as in `checks.comparison`, of a mutant's name."""
+    """The module below the package, as in `checks.fix_comparison`, of a mutant's name."""
     return ".".join(mutant.split(".")[2:-1])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.gnss.ambiguity.resolution import FixCriteria, Resolution, resolve
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria, Resolution, resolve
 
 _OFF = FixCriteria(
     least_ratio=0.0, least_success_rate=0.0, least_fixed=1, partial=False, failure_rate=0.0, most_nodes=10_000

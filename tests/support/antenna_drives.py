@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from camber.antenna_height.settings import AntennaHeightSettings, BodyPoint
 from camber.localizer.localization import Localization
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.release import read_release
 from camber.schemas.base import Message
 from camber.schemas.pose import Pose, Road, ScanMatch

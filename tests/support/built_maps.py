@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from camber import cli
-from camber.map_server.elevation import ElevationMap, SelectedRoads
+from camber.map_server.elevation_queries import ElevationMap, SelectedRoads
 from camber.road_map.release import Release
 from camber.road_map.road_columns import Floats
 

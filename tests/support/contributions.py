@@ -8,7 +8,8 @@ import numpy as np
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
-from camber.map_update.stores.store import RefusalCheck, Store
+from camber.map_update.stores.store import Store
+from camber.map_update.stores.upload_deduplication import RefusalCheck
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from camber.formats.drive.uploads_csv import COLUMNS
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.replay.short_drive import short_drive_truth
 from camber.road_map.release import Release
 from camber.runtime.clock import SystemClock

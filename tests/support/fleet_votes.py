@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.map_update.contribution import OBSERVATION, from_batch
 from camber.map_update.fusion.pipeline import Fusion, FusionSettings
 from camber.map_update.fusion.votes import Votes
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.simulator.fleet import (
     FleetErrors,
     FleetTrack,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.road_columns import Floats, RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 
 
 def nearest_heights(

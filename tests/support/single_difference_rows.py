@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.observations.signal_pairs import WAVELENGTH_M, group_of
-from camber.gnss.observations.single_differences import SingleDifferences
 
 SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "7I")}
 

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from camber.integrity.checks.chi2_test import CONTRADICTS
-from camber.integrity.checks.consistency import (
+from camber.integrity.checks.consistency_tests import (
     ALL_AGREE,
     BOTH_CONTRADICT,
     HEIGHT_CONTRADICTS,

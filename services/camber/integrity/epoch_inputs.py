@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from camber.integrity.checks.pose_gate import can_move_on, pose_sigma_m
+from camber.integrity.checks.pose_offset import can_move_on, pose_sigma_m
 from camber.integrity.rules import SAME_EPOCH_S, Rules
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.integrity import Reason

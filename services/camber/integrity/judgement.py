@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from camber.integrity.checks.comparison import FixComparison
-from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.fix_comparison import FixComparison
+from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from camber.integrity.checks.captured_pose import CaptureRules
 from camber.integrity.checks.carried_position import CarriedRules
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.checks.start_rule import StartRules
 from camber.integrity.checks.time_series import SeriesRules
 from camber.integrity.checks.verification import VerificationRules

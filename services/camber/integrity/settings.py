@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast
 
 from pydantic import Field, model_validator
 
-from camber.integrity.checks.consistency import Test
+from camber.integrity.checks.consistency_tests import Test
 from camber.integrity.checks.verification import VerificationEvidence
 from camber.integrity.learning.height_correction import Mode
 from camber.integrity.rules import Rules

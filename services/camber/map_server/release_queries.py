@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.map_server.links import links_around
 from camber.road_map.release import BlobMissingError, Release
 from camber.road_map.release_files import PART_BYTES

@@ -13,7 +13,7 @@ from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.map_server.topology import TIE_M, Topology
-from camber.road_map.surface_heights import grid_plane
+from camber.road_map.height_interpolation import grid_plane
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

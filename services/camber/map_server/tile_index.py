@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.tangent_planes import plane_origins, plane_series
-from camber.road_map.surface_heights import grid_plane
+from camber.road_map.height_interpolation import grid_plane
 from camber.road_map.tile_checks import surface_slopes
 from camber.road_map.tile_grid import MARGIN_M, tile_corners_rad, tile_frame
 from camber.schemas.road import SurfaceTile

@@ -5,7 +5,7 @@ The compiled code is cached on disk. `python -m camber.map_server.warm_up` fills
 
 from __future__ import annotations
 
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.road_columns import flat_road
 from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.pose import Road

@@ -22,14 +22,15 @@ from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.shards import WORLD, Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import Outcome, OvertakenError, Store, StoreError
+from camber.map_update.stores.store import OvertakenError, Store, StoreError
+from camber.map_update.stores.upload_deduplication import Outcome
 from camber.map_update.warm_up import warm_up
 from camber.road_map.release import ReleaseError, load_signing_key, read_release
 from camber.road_map.release_server import ReleaseServer
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.uploads.received import ReceivedUpload
+from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.base import EARLIEST_NS, Message
 from camber.schemas.fleet import UploadReceipt
 

@@ -29,7 +29,7 @@ from camber.runtime.log import make_logger
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.runtime.uploads.received import ReceivedUpload
+from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.health import Health, LogLevelReply, LogLevelRequest

@@ -18,7 +18,7 @@ import numpy as np
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.uploads import decimal_year
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue

@@ -4,7 +4,7 @@ import typing
 
 import pytest
 
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.decision_table import TEST_RULES
 from camber.integrity.epoch_inputs import ANTENNA_CHECKS, POSE_CHECKS, ROAD_CHECKS, EpochInputs, age_s
 from camber.integrity.rules import Rules

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
-from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.uploads import MOST_ROWS, UploadBatcher, batch_of, decimal_year, upload_for

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import FixComparison
-from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.fix_comparison import FixComparison
+from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import ROAD_M, at, fix, pose, road

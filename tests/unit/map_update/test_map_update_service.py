@@ -10,7 +10,7 @@ from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import FusionStep
-from camber.runtime.uploads.received import ReceivedUpload
+from camber.runtime.uploads.received_upload import ReceivedUpload
 from support.contributions import NOW_NS, batch
 from support.contributions import upload as upload_of
 from support.fake_bus import FakeBus

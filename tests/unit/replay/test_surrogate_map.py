@@ -14,9 +14,9 @@ from camber.replay.coarse_links import thinned
 from camber.replay.road_lines import road_lines
 from camber.replay.short_drive import short_drive_truth
 from camber.replay.surrogate_map import make_map
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.map_error_model import MAP_ERRORS
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.schemas.drive import Surrogates
 
 Array = npt.NDArray[np.float64]

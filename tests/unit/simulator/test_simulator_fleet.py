@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.codec import encode
 from camber.schemas.fleet import UploadBatch

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
+from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.observations.signal_pairs import GROUPS
-from camber.gnss.observations.single_differences import SingleDifferences
 
 Continuity = Literal["continuous", "broken", "no_evidence"]
 _LEAST_EVIDENCE = 3  # chosen: double differences that two fixes must share

@@ -12,7 +12,7 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
-from camber.gnss.ambiguity.resolution import (
+from camber.gnss.ambiguity.ambiguity_resolution import (
     RESOLVED,
     UNLIKELY,
     FixCriteria,
@@ -20,12 +20,12 @@ from camber.gnss.ambiguity.resolution import (
     conditional_update,
     resolve,
 )
+from camber.gnss.observations.differenced_observations import SingleDifferences, without_clocks
 from camber.gnss.observations.signal_pairs import GROUPS, Booleans
-from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
 from camber.gnss.position.float_solution import FloatPosition, PositionPrior, float_with_prior, inverse_3
 from camber.gnss.position.small_algebra import form, inner
 
-# Status beyond those of `camber.gnss.ambiguity.resolution`.
+# Status beyond those of `camber.gnss.ambiguity.ambiguity_resolution`.
 NO_POSITION, CONTRADICTORY, IMPRECISE, FAR = range(5, 9)
 """`NO_POSITION`: too few codes for a float position. `CONTRADICTORY`: the residuals of the fixed phases are too large.
 `IMPRECISE`: too few ambiguities are fixed for a position of centimetres. `FAR`: the position is too far from the

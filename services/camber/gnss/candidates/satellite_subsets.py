@@ -17,10 +17,10 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, satellite_name
+from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
 from camber.gnss.ambiguity.fixed_solution import estimate
-from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria
+from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.observations.signal_pairs import Booleans, systems_of
-from camber.gnss.observations.single_differences import SingleDifferences
 from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior, float_position, relative_to
 from camber.gnss.position.rtk_engine import Solution
 

@@ -11,8 +11,8 @@ measurements. No height is used.
 
 from __future__ import annotations
 
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
 from camber.gnss.ambiguity.fixed_solution import chi2_limit
-from camber.gnss.ambiguity.resolution import FixCriteria
 from camber.gnss.candidates.satellite_subsets import IDENTICAL_M, subset_candidates
 from camber.gnss.position.float_solution import inverse_3
 from camber.gnss.position.rtk_engine import Solution

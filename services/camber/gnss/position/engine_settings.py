@@ -7,9 +7,9 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from camber.gnss.ambiguity.resolution import FixCriteria
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
+from camber.gnss.observations.differenced_observations import Masks
 from camber.gnss.observations.signal_pairs import Booleans, groups_of
-from camber.gnss.observations.single_differences import Masks
 
 
 class EngineSettings(BaseModel):

@@ -11,17 +11,17 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
 from camber.gnss.ambiguity.fixed_solution import Estimate, estimate
-from camber.gnss.ambiguity.resolution import FixCriteria
-from camber.gnss.observations.satellite_states import EphemerisTable, SatelliteStates, states_at_transmission
-from camber.gnss.observations.signal_pairs import Booleans, SignalColumns, SignalPairs, pair_signals
-from camber.gnss.observations.single_differences import (
+from camber.gnss.observations.differenced_observations import (
     Masks,
     Noise,
     ReceiverAtEpoch,
     SingleDifferences,
     single_differences,
 )
+from camber.gnss.observations.satellite_states import EphemerisTable, SatelliteStates, states_at_transmission
+from camber.gnss.observations.signal_pairs import Booleans, SignalColumns, SignalPairs, pair_signals
 from camber.gnss.position.float_solution import PositionPrior, float_with_prior, relative_to
 from camber.gnss.position.small_algebra import inner
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats
+from camber.gnss.observations.differenced_observations import SingleDifferences, without_clocks
 from camber.gnss.observations.signal_pairs import GROUPS, Booleans
-from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
 from camber.gnss.position.small_algebra import form, product
 
 _SHARES = 10  # weights tried in the covariance intersection; chosen: steps of 0.1

@@ -15,15 +15,15 @@ from typing import Literal
 import numpy as np
 
 from camber.formats.observations import Ephemeris, Floats, Integers, ObservationEpoch
+from camber.gnss.ambiguity.ambiguity_resolution import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.ambiguity.continuity import Continuity, ContinuityTracker, fixed_integers
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, FAR, IMPRECISE, NO_POSITION, Estimate
-from camber.gnss.ambiguity.resolution import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.observations.base_station import BaseStation
 from camber.gnss.observations.cycle_slips import CycleSlipDetector
+from camber.gnss.observations.differenced_observations import Noise, SingleDifferences
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
 from camber.gnss.observations.signal_pairs import columns_of
-from camber.gnss.observations.single_differences import Noise, SingleDifferences
 from camber.gnss.position.doppler_prior import DopplerPrior
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, solve_epoch

@@ -27,9 +27,9 @@ from typing import Any
 
 from camber.geodesy.horizontal_offsets import east_north_between, place_at
 from camber.integrity.checks.chi2_test import AGREES
-from camber.integrity.checks.comparison import FixComparison
-from camber.integrity.checks.consistency import ConsistencyLimits, consistency_of
-from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pose_sigma_m, unsteady_m2
+from camber.integrity.checks.consistency_tests import ConsistencyLimits, consistency_of
+from camber.integrity.checks.fix_comparison import FixComparison
+from camber.integrity.checks.pose_offset import can_move_on, offset_from_pose, pose_sigma_m, unsteady_m2
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules, log_odds_of
 from camber.integrity.scalar_or_array import larger_eigenvalue

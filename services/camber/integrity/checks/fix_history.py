@@ -6,8 +6,8 @@ import math
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.captured_pose import CapturedPose, FixRun
-from camber.integrity.checks.height_check import RoadPoint
-from camber.integrity.checks.pose_gate import claimed_sigma_m, offset_from_pose
+from camber.integrity.checks.height_model import RoadPoint
+from camber.integrity.checks.pose_offset import claimed_sigma_m, offset_from_pose
 from camber.integrity.checks.start_rule import StartCount, StartFix
 from camber.integrity.checks.time_series import ChainedFix, continues_chain, next_in_chain
 from camber.integrity.checks.verification import AmbiguityHistory

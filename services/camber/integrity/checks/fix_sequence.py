@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from camber.integrity.checks.pose_gate import claimed_sigma_m
+from camber.integrity.checks.pose_offset import claimed_sigma_m
 from camber.integrity.epoch_inputs import Check, age_s, first_reason
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix

@@ -12,12 +12,12 @@ from functools import cached_property
 from camber.integrity.checks.captured_pose import FixRun
 from camber.integrity.checks.carried_position import CarriedPosition
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
-from camber.integrity.checks.comparison import FixComparison, compare
-from camber.integrity.checks.consistency import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
+from camber.integrity.checks.consistency_tests import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
+from camber.integrity.checks.fix_comparison import FixComparison, compare
 from camber.integrity.checks.fix_history import FixHistory, is_precise
-from camber.integrity.checks.height_check import HeightModel, RoadPoint, road_at
+from camber.integrity.checks.height_model import HeightModel, RoadPoint, road_at
 from camber.integrity.checks.independent_position import IndependentComparison, compare_with_independent
-from camber.integrity.checks.pose_gate import offset_from_pose, pose_sigma_m
+from camber.integrity.checks.pose_offset import offset_from_pose, pose_sigma_m
 from camber.integrity.checks.start_rule import StartCount
 from camber.integrity.checks.verification import phase_residuals_agree, scan_matching_agrees, verified
 from camber.integrity.epoch_inputs import EpochInputs, age_s

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
-from camber.integrity.checks.consistency import ConsistencyLimits, consistency_of
-from camber.integrity.checks.pose_gate import travelled_m, unsteady_m2
+from camber.integrity.checks.consistency_tests import ConsistencyLimits, consistency_of
+from camber.integrity.checks.pose_offset import travelled_m, unsteady_m2
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.gnss import Fix

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.integrity.checks.comparison import FixComparison
-from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose
+from camber.integrity.checks.fix_comparison import FixComparison
+from camber.integrity.checks.pose_offset import can_move_on, offset_from_pose
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.fix_track_offset import JudgedTrackOffset
 from camber.integrity.learning.residuals import FixResidual, ReferenceKey

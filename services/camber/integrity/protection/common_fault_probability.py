@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from camber.integrity.checks.consistency import horizontal_distance2
+from camber.integrity.checks.consistency_tests import horizontal_distance2
 from camber.integrity.scalar_or_array import FloatOrArray, exp, positive_or_nan, sqrt, where
 
 MOST_LOG_ODDS = 30.0

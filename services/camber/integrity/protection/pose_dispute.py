@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.chi2_test import AGREES
-from camber.integrity.checks.consistency import POSITION_CONTRADICTS
+from camber.integrity.checks.consistency_tests import POSITION_CONTRADICTS
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent, widened

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
 
-from camber.integrity.checks.consistency import ConsistencyLimits, ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyLimits, ConsistencyParameters
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.re_estimation.subset_agreement import AgreementRules, agreement_of
 from camber.schemas.gnss import Candidate, Estimates, EstimatesRequest, Fix

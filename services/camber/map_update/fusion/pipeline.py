@@ -29,8 +29,8 @@ from camber.map_update.fusion.votes import (
     voter_of,
     votes_from,
 )
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.road_columns import RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 
 _REGION_M = 1000.0  # chosen: side of the squares monitored for common shifts, a few streets each
 

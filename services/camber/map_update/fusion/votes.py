@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES
-from camber.road_map.surface_heights import SurfaceHeights
+from camber.road_map.height_interpolation import SurfaceHeights
 
 Votes = NDArray[np.void]
 Floats = NDArray[np.float64]

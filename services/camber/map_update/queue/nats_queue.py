@@ -41,7 +41,7 @@ from camber.map_update.queue.queue_messages import (
 )
 from camber.map_update.stores.reconnecting_client import ReconnectingClient
 from camber.map_update.stores.shards import Shards
-from camber.map_update.stores.store import Outcome
+from camber.map_update.stores.upload_deduplication import Outcome
 
 STREAM = "CAMBER_UPLOADS"
 _SUBJECT = "camber.uploads"

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
-from camber.map_update.stores.store import Outcome
+from camber.map_update.stores.upload_deduplication import Outcome
 from camber.schemas.base import Count, Covariance3, Name
 from camber.schemas.fleet import EpochYear
 

@@ -30,14 +30,12 @@ from camber.map_update.stores.reconnecting_client import ReconnectingClient
 from camber.map_update.stores.store import (
     FORMAT,
     LAYOUT,
-    Outcome,
-    RefusalCheck,
     Store,
     StoreError,
     layout_defect,
     ledger_row,
-    settle,
 )
+from camber.map_update.stores.upload_deduplication import Outcome, RefusalCheck, deduplicate
 
 PARTITION = 8192
 """Chosen: contributions of one partition; with batches of 64 half a million observations, 45 MB."""
@@ -173,7 +171,7 @@ class PostgresStore(Store):
             await asyncio.sleep(0)  # sends the query
             encoded = {id(each): (each.observations.tobytes(), each.digest()) for each in contributions}
             known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in await query}
-            outcomes, new = settle(contributions, known, refusal_of)
+            outcomes, new = deduplicate(contributions, known, refusal_of)
             if new:
                 rows, digests = zip(*(encoded[id(each)] for each in new), strict=True)
                 await self._create_partitions(db, partitions, last + len(new))

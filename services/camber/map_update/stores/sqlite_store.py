@@ -29,14 +29,12 @@ from camber.map_update.stores.store import (
     LAYOUT,
     LEDGER,
     TABLES,
-    Outcome,
-    RefusalCheck,
     Store,
     StoreError,
     layout_defect,
     ledger_row,
-    settle,
 )
+from camber.map_update.stores.upload_deduplication import Outcome, RefusalCheck, deduplicate
 
 _TYPES = {"bigint": "INTEGER", "blob": "BLOB"}
 
@@ -76,7 +74,7 @@ class SqliteStore(Store):
                 query = "SELECT digest FROM contribution WHERE vehicle = $1 AND kind = $2 AND id = $3"
                 for (digest,) in self._fetch(query, *contribution.name):
                     known[contribution.name] = digest
-            outcomes, new = settle(contributions, known, refusal_of)
+            outcomes, new = deduplicate(contributions, known, refusal_of)
             # Numbers are never reused, even if the last row of the ledger was deleted.
             ((last,),) = self._fetch(
                 "SELECT max(cursor, coalesce((SELECT max(number) FROM contribution), 0)) FROM progress"

@@ -18,20 +18,19 @@ from __future__ import annotations
 import abc
 import itertools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields
 from struct import pack
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
 from camber.map_update.fusion.votes import VOTE
+from camber.map_update.stores.upload_deduplication import Outcome, RefusalCheck
 
-RefusalCheck = Callable[[Contribution], Refusal | None]
 Rows = npt.NDArray[np.void]
 Ids = npt.NDArray[np.int64]
 
@@ -69,13 +68,6 @@ class StoreError(RuntimeError):
 
 class OvertakenError(StoreError):
     """Another process has written votes since they were read: read again and continue from there."""
-
-
-class Outcome(NamedTuple):
-    """Result of one contribution; `refusal` is the reason of `refused`."""
-
-    status: Literal["stored", "duplicate", "refused"]
-    refusal: Refusal | None = None
 
 
 class Counts(NamedTuple):
@@ -277,35 +269,6 @@ class Store(abc.ABC):
     @abc.abstractmethod
     def _replace_votes(self, pairs: list[tuple[int, bytes]], emptied: list[int]) -> None:
         """Write the votes of surfaces, and delete those of surfaces without any."""
-
-
-def settle(
-    contributions: Sequence[Contribution],
-    known: Mapping[tuple[str, str, str], bytes],
-    refusal_of: RefusalCheck,
-) -> tuple[list[Outcome], list[Contribution]]:
-    """Return the outcome of each contribution, given the ledger's digests `known`, and the contributions to store."""
-    digests = dict(known)
-    new: dict[tuple[str, str, str], Contribution] = {}
-    outcomes = []
-    for contribution in contributions:
-        name = contribution.name
-        if name in new and name not in digests:
-            digests[name] = new[name].digest()
-        refusal: Refusal | None = None
-        if name in digests:
-            if digests[name] == contribution.digest():
-                outcomes.append(Outcome("duplicate"))
-                continue
-            text = f"{contribution.kind} {contribution.id}: other contents are stored under this id"
-            refusal = Refusal("id_reused", text)
-        refusal = refusal or refusal_of(contribution)
-        if refusal is not None:
-            outcomes.append(Outcome("refused", refusal))
-            continue
-        new[name] = contribution
-        outcomes.append(Outcome("stored"))
-    return outcomes, list(new.values())
 
 
 def ledger_row(number: int, contribution: Contribution, digest: bytes, now_ns: int) -> tuple[Any, ...]:

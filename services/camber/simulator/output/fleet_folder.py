@@ -14,7 +14,7 @@ from pathlib import Path
 
 from camber.formats.drive.recorder import Recorder
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.map_error_model import MAP_ERRORS
 from camber.road_map.release import read_release
 from camber.schemas.channels import BY_NAME

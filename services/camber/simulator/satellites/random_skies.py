@@ -16,8 +16,8 @@ import numpy as np
 from camber.compiled.decorator import compiled
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
+from camber.gnss.observations.differenced_observations import Noise, variance_m2
 from camber.gnss.observations.signal_pairs import WAVELENGTH_M
-from camber.gnss.observations.single_differences import Noise, variance_m2
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.orbits import OrbitTable, newest_in_use, satellite_states
 from camber.simulator.scene import Booleans, Floats, Integers

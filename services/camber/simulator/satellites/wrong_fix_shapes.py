@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from camber.compiled.decorator import compiled
+from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, chi2_limit, estimate, phase_residuals
-from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria
-from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
+from camber.gnss.observations.differenced_observations import SingleDifferences, without_clocks
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.float_solution import PositionPrior, inverse_3
 from camber.simulator.satellites.random_skies import LATER_S, RandomSkies

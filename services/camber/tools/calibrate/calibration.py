@@ -23,8 +23,8 @@ import numpy as np
 
 from camber.formats.observations import Floats, Integers
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.integrity.checks.height_check import road_at
-from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pose_sigma_m
+from camber.integrity.checks.height_model import road_at
+from camber.integrity.checks.pose_offset import can_move_on, offset_from_pose, pose_sigma_m
 from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, cell_of
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance

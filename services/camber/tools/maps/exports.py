@@ -17,10 +17,10 @@ from camber.formats.errors import FormatError
 from camber.formats.map_exchange.pcd import PointCloud, pcd_bytes
 from camber.formats.map_exchange.vertical_datum import aligned_to_wgs84, crs_of
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.release import Release
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import RoadSurfaces
-from camber.road_map.surface_heights import SurfaceHeights
 from camber.road_map.tile_grid import tile_frame, tiles_of
 from camber.schemas.road import CloudTile, Layer
 from camber.tools.maps.geojson import geojson_text

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from camber.formats.observations import Integers
 from camber.integrity.checks.chi2_test import Floats, TestOutcomes, difference_covariance
-from camber.integrity.checks.consistency import (
+from camber.integrity.checks.consistency_tests import (
     ALL_AGREE,
     BOTH_CONTRADICT,
     HEIGHT_CONTRADICTS,

@@ -8,6 +8,7 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import norm
 
+from camber.gnss.ambiguity.ambiguity_resolution import RATIO_TOO_LOW, RESOLVED, UNLIKELY, resolve
 from camber.gnss.ambiguity.fixed_solution import (
     CONTRADICTORY,
     FAR,
@@ -19,7 +20,6 @@ from camber.gnss.ambiguity.fixed_solution import (
     estimate,
     phase_residuals,
 )
-from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, UNLIKELY, resolve
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior, float_position, float_with_prior
 from support.single_difference_rows import double_differences, made_up_rows, slow_float

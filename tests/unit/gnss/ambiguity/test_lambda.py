@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
-from camber.gnss.ambiguity.lambda_search import nearest_integers
-from camber.gnss.ambiguity.resolution import (
+from camber.gnss.ambiguity.ambiguity_resolution import (
     INVALID,
     RATIO_TOO_LOW,
     RESOLVED,
@@ -22,6 +20,8 @@ from camber.gnss.ambiguity.resolution import (
     bootstrapped_log_success,
     conditional_update,
 )
+from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
+from camber.gnss.ambiguity.lambda_search import nearest_integers
 from support.ambiguity_models import drawn, float_covariance
 from support.ambiguity_resolution import resolved
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from camber.gnss.ambiguity.ambiguity_resolution import RATIO_TOO_LOW, RESOLVED, bootstrapped_log_success
 from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
-from camber.gnss.ambiguity.ratio_thresholds import ratio_for_failure_rate
-from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, bootstrapped_log_success
+from camber.gnss.ambiguity.ratio_threshold_table import ratio_for_failure_rate
 from support.ambiguity_models import drawn, float_covariance
 from support.ambiguity_resolution import resolved
 

@@ -9,7 +9,7 @@ from camber.formats.observations import satellite_name
 from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.candidates import satellite_subsets as re_estimation
 from camber.gnss.candidates.satellite_subsets import subset_candidates
-from camber.gnss.observations.single_differences import SingleDifferences
+from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior
 from camber.gnss.position.rtk_engine import Solution

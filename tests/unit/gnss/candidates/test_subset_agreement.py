@@ -12,7 +12,7 @@ from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.candidates import subset_agreement as module
 from camber.gnss.candidates.satellite_subsets import SubsetCandidate
 from camber.gnss.candidates.subset_agreement import subset_agreement
-from camber.gnss.observations.single_differences import SingleDifferences
+from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.float_solution import NO_PRIOR
 from camber.gnss.position.rtk_engine import Solution

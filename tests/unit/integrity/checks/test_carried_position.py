@@ -8,9 +8,9 @@ import pytest
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.carried_position import CarriedPosition, CarriedRules, odds_of
-from camber.integrity.checks.comparison import compare
-from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.checks.height_check import HeightModel, road_at
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
+from camber.integrity.checks.fix_comparison import compare
+from camber.integrity.checks.height_model import HeightModel, road_at
 from camber.integrity.learning.height_correction import Learning
 from camber.integrity.learning.offset_causes import NO_OFFSET, Diagnosis
 from camber.integrity.protection.covariance_inflation import TrueSigma

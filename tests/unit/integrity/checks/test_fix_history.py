@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import FixComparison
+from camber.integrity.checks.fix_comparison import FixComparison
 from camber.integrity.checks.fix_history import FixHistory, is_precise
-from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.checks.verification import VerificationRules
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import TrueSigma

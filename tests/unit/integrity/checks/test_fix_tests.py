@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules
 from camber.integrity.learning.offset_causes import Diagnosis
 from camber.integrity.learning.residuals import ReferenceKey

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.checks.independent_position import compare_with_independent, offset_from_independent
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import at, fix, independent, place, pose

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import FixComparison
-from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.fix_comparison import FixComparison
+from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.height_residual import base_of, independent_residual_of, key_of, residual_of
 from camber.integrity.learning.residuals import ReferenceKey

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.re_estimation.requests import (

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.localizer.road.road_prefetch import RoadAhead, places_ahead
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.road_tiles import link_tiles, surface_tiles
 from camber.schemas.road import ElevationReply, ElevationRequest
 from support.small_map import at, link, links, surface, surfaces

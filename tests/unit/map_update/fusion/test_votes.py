@@ -21,7 +21,7 @@ from camber.map_update.fusion.votes import (
     voter_of,
     votes_from,
 )
-from camber.road_map.surface_heights import SurfaceHeights
+from camber.road_map.height_interpolation import SurfaceHeights
 
 SECRET = b"sixteen bytes at least"
 BEGIN_NS = 1_000_000 * NS_PER_DAY // 1000

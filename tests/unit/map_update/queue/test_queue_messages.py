@@ -12,7 +12,7 @@ from camber.map_update.queue.queue_messages import (
     unpack_contributions,
     unpack_outcomes,
 )
-from camber.map_update.stores.store import Outcome
+from camber.map_update.stores.upload_deduplication import Outcome
 from support.contributions import contribution, random_batch
 
 

@@ -12,7 +12,7 @@ from camber.replay.lock_step.service_loop import LockStepBus, LockStepLoop
 from camber.runtime.clock import ReplayClock
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.uploads.received import ReceivedUpload
+from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.health import HealthRequest
 
 NOW_NS, ASKED_NS = 1_400_000_000_000_000_000, 1_400_000_000_200_000_000

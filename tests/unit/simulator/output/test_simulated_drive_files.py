@@ -18,7 +18,7 @@ from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.replay.drive_inputs import prepare_drive
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest

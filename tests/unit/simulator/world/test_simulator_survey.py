@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.map_error_model import MAP_ERRORS
 from camber.road_map.release import Release, read_release
 from camber.road_map.tile_grid import tile_frame

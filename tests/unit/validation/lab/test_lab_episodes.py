@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import ALL, BASELINES, JUDGE, BaselineDecisions

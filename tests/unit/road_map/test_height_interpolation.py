@@ -9,8 +9,8 @@ import pytest
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.tile_index import TileIndex
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
-from camber.road_map.surface_heights import SurfaceHeights
 from support.small_map import FRAME, at, surface, surfaces
 
 CURVED = surface(5, yaw_rad=0.3, heights_m=[[50.0, 50.2], [50.5, 50.4], [51.0, 51.6]])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.integrity.checks.pose_gate import can_move_on, claimed_sigma_m, offset_from_pose, pose_sigma_m
+from camber.integrity.checks.pose_offset import can_move_on, claimed_sigma_m, offset_from_pose, pose_sigma_m
 from support.judging import SPEED_M_S, at, place, pose
 
 variance = st.floats(1e-6, 1e4)

@@ -17,7 +17,7 @@ from camber.runtime.run import Loop
 from camber.runtime.service import Service
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.uploads.received import ReceivedUpload
+from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import ElevationUpload, UploadReceipt

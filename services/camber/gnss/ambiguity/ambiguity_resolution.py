@@ -17,7 +17,7 @@ from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats
 from camber.gnss.ambiguity.lambda_decorrelation import Decorrelation, decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
-from camber.gnss.ambiguity.ratio_thresholds import ratio_for_failure_rate
+from camber.gnss.ambiguity.ratio_threshold_table import ratio_for_failure_rate
 
 # Status of a resolution.
 RESOLVED, RATIO_TOO_LOW, UNLIKELY, SEARCH_CUT, INVALID = range(5)

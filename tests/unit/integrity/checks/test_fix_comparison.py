@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import compare
-from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.checks.height_check import HeightModel, RoadPoint
+from camber.integrity.checks.consistency_tests import ConsistencyParameters
+from camber.integrity.checks.fix_comparison import compare
+from camber.integrity.checks.height_model import HeightModel, RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import ANTENNA_M, ROAD_M, fix, pose
 

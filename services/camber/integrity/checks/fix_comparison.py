@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from camber.integrity.checks.chi2_test import Floats, covariance_of_difference
-from camber.integrity.checks.consistency import ConsistencyLimits, consistency_of
-from camber.integrity.checks.height_check import HeightModel, RoadPoint
-from camber.integrity.checks.pose_gate import offset_from_pose, unsteady_m2
+from camber.integrity.checks.consistency_tests import ConsistencyLimits, consistency_of
+from camber.integrity.checks.height_model import HeightModel, RoadPoint
+from camber.integrity.checks.pose_offset import offset_from_pose, unsteady_m2
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.gnss import Fix

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.integrity.checks.height_check import HeightModel, RoadPoint, road_at
+from camber.integrity.checks.height_model import HeightModel, RoadPoint, road_at
 from camber.schemas.pose import RoadPatch
 from support.judging import ROAD_M, road
 

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Ephemeris, ObservationEpoch
-from camber.gnss.observations.satellite_states import SatelliteStates, states_at_transmission
-from camber.gnss.observations.signal_pairs import GROUPS, columns_of, pair_signals
-from camber.gnss.observations.single_differences import (
+from camber.gnss.observations.differenced_observations import (
     Masks,
     Noise,
     ReceiverAtEpoch,
@@ -18,6 +16,8 @@ from camber.gnss.observations.single_differences import (
     variance_m2,
     without_clocks,
 )
+from camber.gnss.observations.satellite_states import SatelliteStates, states_at_transmission
+from camber.gnss.observations.signal_pairs import GROUPS, columns_of, pair_signals
 from support.engine_drives import base_ecef_m, open_sky_drive, store_of
 from support.single_difference_rows import made_up_rows
 

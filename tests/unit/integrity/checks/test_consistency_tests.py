@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS, UNVERIFIED
-from camber.integrity.checks.consistency import (
+from camber.integrity.checks.consistency_tests import (
     ALL_TESTS,
     REASONS,
     ConsistencyParameters,
