@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from camber.formats.drive.recorder import Recorder
 from camber.replay.short_drive import START_NS, write_short_drive
+from camber.schemas.base import Message
 from camber.schemas.codec import encode
-from camber.schemas.gnss import Fix
+from camber.schemas.gnss import SATELLITE_USES, Fix, SatellitesInView
 from camber.schemas.integrity import Verdict
 from support.browser import WatchedPage, chromium, served_address, watched
 from support.running import camber_started, replayed
@@ -81,7 +84,8 @@ def test_a_replay_is_shown_with_its_map_and_its_truth(browser: Any, run: Path) -
         assert (shown.complaints, shown.elsewhere()) == ([], [])
 
 
-def recording(path: Path, detail: str) -> Path:
+def recording(path: Path, detail: str, *more: tuple[str, str, Callable[[int], Message]]) -> Path:
+    """Three epochs; `more` has channels, their keys and what makes a message of a time."""
     recorder = Recorder(path)
     for k in range(3):
         time_ns = START_NS + k * 200_000_000
@@ -95,6 +99,7 @@ def recording(path: Path, detail: str) -> Path:
         for channel, producer, message in (
             ("fix", "gnss/fix", fix),
             ("verdict", "integrity/verdict", verdict),
+            *((channel, key, make(time_ns)) for channel, key, make in more),
         ):
             recorder.add(
                 channel,
@@ -127,3 +132,42 @@ def test_of_a_recording_cut_in_half_the_readable_part_is_shown(
         shown.wait_for(READ)
         assert shown.page.evaluate("camber.store.tables.verdict.length") > 20
         assert "damage" in shown.page.locator("camber-notes .bad").first.text_content()
+
+
+def satellites(time_ns: int) -> SatellitesInView:
+    """One satellite in the south that is used, one in the west that is not, one without a direction."""
+    return SatellitesInView(
+        time_ns=time_ns,
+        quality="fixed",
+        satellite=np.array([ord("G") * 256 + 5, ord("E") * 256 + 11, ord("C") * 256 + 7], np.int32),
+        present=np.array([3, 3, 2], np.uint8),
+        azimuth_rad=np.array([math.pi, 1.5 * math.pi, 0.0], np.float32),
+        elevation_rad=np.array([0.5, 0.5, 0.0], np.float32),
+        cn0_dbhz=np.array([50.0, 30.0, 30.0], np.float32),
+        use=np.array([SATELLITE_USES.index(use) for use in ("used", "outlier", "no_ephemeris")], np.uint8),
+    )
+
+
+def test_the_sky_has_the_satellites_and_names_why_some_are_left_out(
+    browser: Any, run: Path, tmp_path: Path
+) -> None:
+    path = recording(tmp_path / "sky.mcap", "", ("satellites", "gnss/satellites", satellites))
+    with ExitStack() as ends:
+        shown = opened(ends, browser, path, "#theme=light")
+        shown.wait_for("document.querySelector('camber-sky canvas').ariaLabel?.startsWith('1 used')")
+        sky = shown.page.locator("camber-sky")
+        assert "1 used, 2 left out; position: fixed" in sky.text_content()
+        assert "codes contradict the others: E11" in sky.text_content()
+        assert "no ephemeris: C07" in sky.text_content()
+        # Filled as strong as it is, half-way down in the middle; the other one at the left is not filled.
+        filled = (79, 143, 131)
+        picture = Image.open(io.BytesIO(sky.locator("canvas").screenshot())).convert("RGB")
+        rows, columns = np.nonzero(np.abs(np.asarray(picture, np.int64) - filled).max(axis=2) < 24)
+        assert len(rows) > 60
+        assert np.median(columns) == pytest.approx(picture.width / 2, abs=3)
+        assert np.median(rows) == pytest.approx(picture.height * 0.82, abs=12)
+        assert shown.complaints == []
+        without = opened(ends, browser, run)
+        without.wait_for(READ)
+        assert "No satellites are published" in without.page.locator("camber-sky").text_content()
+        assert not without.page.locator("camber-sky canvas").is_visible()

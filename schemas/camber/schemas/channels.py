@@ -134,6 +134,7 @@ CHANNELS: tuple[Channel, ...] = (
     _row("gnss/fix", "gnss > localizer integrity", (10, 0.5), gnss.Fix),
     _row("gnss/velocity", "gnss > integrity", (10, 0.5), gnss.SatelliteVelocity),
     _row("gnss/observations", "gnss >", (10, None), gnss.Observations),
+    _row("gnss/satellites", "gnss >", (1, None), gnss.SatellitesInView),
     _row("gnss/receiver_integrity", "gnss > integrity", (1, 2.0), gnss.ReceiverIntegrity),
     _query("gnss/estimates", "integrity > gnss", (None, 0.1), (gnss.EstimatesRequest, gnss.Estimates)),
     _query(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -11,6 +11,7 @@ from camber.schemas.base import (
     ArrayOf,
     Count,
     Covariance3,
+    Float32,
     Float64,
     Height,
     Int32,
@@ -34,6 +35,21 @@ Protocol = Literal["pos", "nmea", "ubx", "rtcm", "rinex", "mixed"]
 """`mixed`: frames and sentences of several protocols, one after another."""
 Stream = Literal["rover", "base", "ephemerides"]
 SubsetAgreement = Literal["agree", "disagree", "unknown"]
+SatelliteUse = Literal[
+    "used",
+    "integers_unresolved",
+    "no_ephemeris",
+    "no_pseudorange",
+    "below_elevation_mask",
+    "below_cn0_mask",
+    "outlier",
+    "not_differenced",
+    "no_position",
+]
+"""Whether a satellite is in the position, or why not. `integers_unresolved`: only its codes are, of a fixed position.
+`outlier`: its codes contradict the others. `not_differenced`: the base has no signal of it that can be paired.
+`no_position`: the epoch has none."""
+SATELLITE_USES: tuple[SatelliteUse, ...] = get_args(SatelliteUse)
 
 
 class ReceiverBytes(Message):
@@ -64,6 +80,26 @@ class Observations(Message):
     cn0_dbhz: Annotated[Float64, ArrayOf("<f8", ("signals",))]
     lock_time_ns: Annotated[Int64, ArrayOf("<i8", ("signals",))]
     slip: Annotated[UInt8, ArrayOf("|u1", ("signals",))]
+
+
+class SatellitesInView(Message):
+    """The satellites of one epoch of the RTK engine: direction, C/N0, and which are in the position; one row each.
+
+    Only of systems that the engine uses. `satellite` is as in Observations; the bits of `present` say what a row has:
+    0 azimuth and elevation, 1 C/N0. `use` is the place of a term in `SATELLITE_USES`.
+    """
+
+    quality: Quality = Field(description="of the epoch's position")
+    satellite: Annotated[Int32, ArrayOf("<i4", ("satellites",), ge=0, le=0x7FFF)]
+    present: Annotated[UInt8, ArrayOf("|u1", ("satellites",))]
+    azimuth_rad: Annotated[Float32, ArrayOf("<f4", ("satellites",))] = Field(
+        description="clockwise from north"
+    )
+    elevation_rad: Annotated[Float32, ArrayOf("<f4", ("satellites",))]
+    cn0_dbhz: Annotated[Float32, ArrayOf("<f4", ("satellites",))] = Field(
+        description="of its strongest signal"
+    )
+    use: Annotated[UInt8, ArrayOf("|u1", ("satellites",), le=len(SATELLITE_USES) - 1)]
 
 
 class ReceiverIntegrity(Message):

@@ -13,7 +13,12 @@ from camber.formats.errors import FormatError
 from camber.formats.nmea.writer import format_gga
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.candidates.engine_candidates import fix_from_solution, observations_from, velocity_from
+from camber.gnss.candidates.engine_candidates import (
+    fix_from_solution,
+    observations_from,
+    satellites_from,
+    velocity_from,
+)
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
 from camber.gnss.candidates.subset_agreement import subset_agreement
 from camber.gnss.observations.base_memory import BaseMemory, memory_as_text, memory_from_text
@@ -21,6 +26,7 @@ from camber.gnss.observations.base_watch import BaseWatch
 from camber.gnss.observations.receiver_streams import Stream, StreamItem, StreamProtocol, StreamReader
 from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings
+from camber.gnss.position.satellite_use import satellite_columns
 from camber.gnss.settings import GnssSettings
 from camber.gnss.warm_up import compile_readers, warm_up
 from camber.road_map.release_files import write_file
@@ -66,6 +72,8 @@ class GnssService(Service[GnssSettings]):
         self._damage: dict[StreamReader, dict[str, int]] = {}
         self._bases_file = settings.state_dir / "bases.json" if settings.state_dir and self._solves else None
         self._rover = self._make_rover() if self._solves else None
+        self._satellites_ns = 0
+        self._masks = settings.engine.masks()
         self._criteria = settings.engine.fix_criteria() if settings.engine.subset_agreement else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
@@ -262,6 +270,7 @@ class GnssService(Service[GnssSettings]):
             self.bus.count(f"not_fixed.{solution.reason}")
         if self.settings.publish_observations:
             self._publish("observations", lambda: observations_from(solved.epoch, "rover"))
+        self._publish_satellites(solved)
         velocity = solution.velocity
         if velocity is not None:
             self._publish("velocity", lambda: velocity_from(velocity, solved.heading))
@@ -270,6 +279,16 @@ class GnssService(Service[GnssSettings]):
             lambda: fix_from_solution(solution, self.settings.datum, solved.base_station, subsets)
         )
         self._last_ns = solution.time_ns
+
+    def _publish_satellites(self, solved: SolvedEpoch) -> None:
+        """Publish the satellites in view, now and then: a message costs a quarter of an epoch's time."""
+        solution = solved.solution
+        if 0 <= solution.time_ns - self._satellites_ns < self.settings.satellites_every_s * NS_PER_SECOND:
+            return
+        columns = satellite_columns(solved.epoch, solution, self._masks)
+        if columns is not None:
+            self._satellites_ns = solution.time_ns
+            self._publish("satellites", lambda: satellites_from(solution, columns))
 
     def _is_refused(self, time_ns: int) -> bool:
         refusal = refuse(time_ns, self._last_ns, self.bus.now_ns())

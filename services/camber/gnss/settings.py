@@ -45,6 +45,12 @@ class GnssSettings(ServiceSettings):
     datum: Name = Field("WGS84", description="datum of the positions, defined by the base or the corrections")
     nmea_date: date | None = Field(None, description="UTC date of a stream without RMC and ZDA")
     publish_observations: bool = Field(False, description="publish the receiver's raw observations")
+    satellites_every_s: float = Field(
+        1.0,
+        ge=0.0,
+        le=3600.0,
+        description="shortest time between two messages of the satellites in view; 0: one for each epoch",
+    )
     ntrip_user: str | None = Field(None, description="user of the NTRIP caster")
     ntrip_password: SecretStr | None = Field(None, description="password of the NTRIP caster")
     ntrip_version: Literal[1, 2] = Field(2, description="NTRIP version of the requests")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from camber.live.snapshots import Snapshots
 from camber.schemas.base import Float32, Float64
 
 HOUR_ROWS = 36_000
@@ -82,12 +83,13 @@ class History:
     """Tables that one thread writes and others read; use every method from any thread.
 
     `generation` grows when time went back by more than some seconds: then all begins anew. A row that is older than the
-    newest one of its table is left out and counted in `late`.
+    newest one of its table is left out and counted in `late`. `snapshots` belong to the same generation.
     """
 
     def __init__(self, layouts: Sequence[TableLayout], capacity: int = HOUR_ROWS) -> None:
         self.generation = 0
         self.late = 0
+        self.snapshots = Snapshots()
         self.appended = 0
         """RowWriter that were ever appended, of all tables and generations."""
         self.layouts = tuple(layouts)
@@ -156,6 +158,7 @@ class History:
     def _begin_anew(self) -> None:
         self.generation += 1
         self._texts.clear()
+        self.snapshots.clear()
         for table in self._tables.values():
             table.clear()
 

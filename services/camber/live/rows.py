@@ -11,7 +11,8 @@ import numpy as np
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.live.history import History, TableLayout
-from camber.schemas.gnss import Fix, Quality
+from camber.live.snapshots import satellites_as_json
+from camber.schemas.gnss import Fix, Quality, SatellitesInView
 from camber.schemas.integrity import (
     Cause,
     Evidence,
@@ -44,7 +45,9 @@ TERMS: dict[str, tuple[str, ...]] = {
 _PLACES = {name: {term: place for place, term in enumerate(terms)} for name, terms in TERMS.items()}
 INPUTS = ("fix", "velocity", "pose", "scan_match", "antenna_height", "motion")
 """Channels whose age is shown at each position."""
-CHANNELS = ("motion", "fix", "velocity", "pose", "scan_match", "antenna_height", "verdict", "position")
+CHANNELS = (
+    "motion", "fix", "velocity", "satellites", "pose", "scan_match", "antenna_height", "verdict", "position",
+)  # fmt: skip
 """What the page reads, in the order in which it is made."""
 
 LAYOUTS = (
@@ -105,6 +108,8 @@ class RowWriter:
             self._position(time_s, message)
         elif isinstance(message, Pose):
             self._pose(time_s, message)
+        elif isinstance(message, SatellitesInView):
+            self._history.snapshots.add("satellites", time_s, satellites_as_json(message, time_s))
 
     def _fix(self, time_s: float, fix: Fix) -> None:
         self._fixes[fix.fix_id] = fix

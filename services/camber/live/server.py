@@ -135,6 +135,16 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
         text = state.history.text(request.path_params["generation"], request.path_params["row"])
         return JSONResponse({"detail": text}, 200 if text is not None else 404)
 
+    async def snapshot(request: Request) -> Response:
+        kind, time_s = request.path_params["kind"], request.path_params["time_s"]
+        data = state.history.snapshots.at(kind, time_s)
+        # Without one: an empty answer, which a browser does not report as a failure.
+        return (
+            Response(status_code=204)
+            if data is None
+            else Response(data, headers={"cache-control": "no-store"})
+        )
+
     async def runbook(_: Request) -> Response:
         return JSONResponse(runbook_entries())
 
@@ -147,6 +157,7 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
             Route("/map/{zoom:int}/{x:int}/{y:int}.mvt", tile),
             Route("/points/{x:int}/{y:int}", points),
             Route("/verdict/{generation:int}/{row:int}", verdict),
+            Route("/snapshot/{kind}/{time_s:float}", snapshot),
             Route("/runbook", runbook),
             WebSocketRoute("/stream", socket),
             Mount("/static", StaticFiles(directory=STATIC)),

@@ -25,16 +25,22 @@ def main(argv: Sequence[str]) -> int:
         "use a street with wrong fixes at known times instead of the city: created in a second, without numba"
     )
     parser.add_argument("--short", action="store_true", help=text)
+    text = "judge the positions of Camber's RTK engine from the raw observations, and not the receiver's"
+    parser.add_argument("--engine", action="store_true", help=text)
     parser.add_argument(
         "--open", action="store_true", help="show it on a live page in the browser at the end"
     )
     args = parser.parse_args(argv)
     check_speed(parser, args)
+    if args.short and args.engine:
+        parser.error("--engine: the short drive has no raw observations")
 
     def work() -> int:
         args.out.mkdir(parents=True, exist_ok=True)
-        manifest = (_short if args.short else _city)(args.out, args.seed)
-        code = replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
+        manifest = load_manifest((_short if args.short else _city)(args.out, args.seed))
+        if args.engine:
+            manifest = manifest.model_copy(update={"positions": "engine"})
+        code = replay(manifest, args.out, processes=args.processes, speed=args.speed)
         if args.open:
             # Imported here: a demo without a page needs no web server.
             from camber.live.command import main as live

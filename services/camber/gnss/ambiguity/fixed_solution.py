@@ -42,7 +42,8 @@ class Estimate(NamedTuple):
 
     `status` is that of `resolution` or one of this module; fixed only where it is RESOLVED. `integer`
     (rows,) is that of a row against the reference of its group (0 there), NaN where unknown. `phase_freedom`: degrees
-    of freedom of the fixed phases' residuals; 0: they cannot be tested.
+    of freedom of the fixed phases' residuals; 0: they cannot be tested. `code_used` (rows,): codes in the float
+    position, those without outliers.
     """
 
     status: int
@@ -56,6 +57,7 @@ class Estimate(NamedTuple):
     success_rate: float
     phase_freedom: int
     integer: Floats
+    code_used: Booleans
 
 
 class Ambiguities(NamedTuple):
@@ -271,4 +273,5 @@ def estimate(
         success_rate=success_rate,
         phase_freedom=freedom,
         integer=integer,
+        code_used=position.used,
     )

@@ -73,7 +73,7 @@ _FINE_M = 10.0  # derived: within it a linear step errs by 10² / 4e7 m
 _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above any road
 
 # Chosen: mask, false-alarm rate of the test and standard deviations of the error model above.
-_LOWEST_ELEVATION_RAD = math.radians(10.0)
+LOWEST_ELEVATION_RAD = math.radians(10.0)
 _FALSE_ALARM = 1.0e-4  # chosen: one epoch in 10,000
 _NOISE_M, _BACKGROUND_M, _TROPOSPHERE_M, _SATELLITE_M = 0.3, 0.3, 0.1, 0.8
 _IONOSPHERE_SHARE, _LEAST_IONOSPHERE_M = 0.5, 0.5
@@ -354,7 +354,7 @@ def _linearise(rows: _Rows, at: Floats, ionosphere: Floats, of_week_s: float) ->
         sine = min(rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z, 1.0)
         elevation, azimuth = math.asin(max(sine, -1.0)), math.atan2(east, north)
         rows.elevation_rad[k] = elevation
-        if not elevation >= _LOWEST_ELEVATION_RAD:
+        if not elevation >= LOWEST_ELEVATION_RAD:
             continue
         rows.candidate[k] = True
         dispersion = rows.dispersion[k]

@@ -7,6 +7,7 @@ import "./map.js";
 import "./charts.js";
 import "./panels.js";
 import "./stanford.js";
+import "./sky.js";
 import "./fleet.js";
 import { savePicture, saveTable } from "./exports.js";
 
@@ -38,7 +39,7 @@ document.documentElement.dataset.theme = view.theme ?? (matchMedia("(prefers-col
 map.start(store, view);
 charts.start(store, view);
 find("bar").start(store, view, actions);
-for (const name of ["fleet", "now", "fix", "health", "notes", "stanford"]) find(name).start(store, view, map);
+for (const name of ["fleet", "now", "fix", "health", "notes", "stanford", "sky"]) find(name).start(store, view, map);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", showTheme);
 find("map").paint();
 

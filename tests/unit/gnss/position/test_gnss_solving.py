@@ -20,11 +20,13 @@ from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.runtime.bus import Bus
 from camber.schemas.gnss import (
+    SATELLITE_USES,
     EstimatesRequest,
     Fix,
     Observations,
     ReceiverBytes,
     ReceiverIntegrity,
+    SatellitesInView,
     SatelliteVelocity,
 )
 from camber.schemas.motion import Motion
@@ -415,3 +417,14 @@ def test_a_receivers_positions_come_from_the_same_stream_and_nothing_is_solved(
     names = [message for message in bus.published if isinstance(message, ReceiverIntegrity)]
     assert [message.time_ns for message in names] == raw_drive.times_ns[: EPOCHS - 1]
     assert {type(message) for message in bus.published} == {Fix, ReceiverIntegrity}
+
+
+@pytest.mark.parametrize(("every_s", "expected_ms"), [(0.0, range(0, 1500, 100)), (1.0, (0, 1000))])
+def test_satellites_in_view_are_published_as_often_as_set(
+    every_s: float, expected_ms: Iterable[int], raw_drive: RawDrive
+) -> None:
+    run = Run(raw_drive, epochs=15, satellites_every_s=every_s)
+    views = [message for message in run.bus.published if isinstance(message, SatellitesInView)]
+    assert [(view.time_ns - raw_drive.times_ns[0]) // 1_000_000 for view in views] == list(expected_ms)
+    assert {view.quality for view in views} == {"fixed"}
+    assert all((view.use == SATELLITE_USES.index("used")).sum() >= 10 for view in views)
