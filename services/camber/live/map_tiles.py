@@ -6,13 +6,13 @@ Zoom 14 and above: surfaces and links. 12 and 13: links. Below: the squares in w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from camber.geodesy.gps_time import unix_ns_from_gps_ns
+from camber.geodesy.gps_time import NS_PER_DAY, UNIX_OF_GPS_EPOCH_NS
 from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
 from camber.road_map.release import Release
 from camber.road_map.tile_grid import Tile, tile_frame
@@ -26,7 +26,7 @@ _CACHED = 512  # chosen: some megabytes
 _CLOUDS_CACHED = 4  # chosen: of at most 5 MB each
 _MOST_POINTS = 400_000  # of a tile; chosen: more are not distinguished on a screen
 _MILLIMETRE_DECIMALS = 3  # of σ: few different values make small tiles
-_DAY_NS = 86_400_000_000_000  # nanoseconds of a day
+_CORNERS = 4  # of a surface, and of a square
 
 
 class TilePlace(NamedTuple):
@@ -111,9 +111,9 @@ class MapTiles:
         within, place = self._within(zoom, x, y), TilePlace(zoom, x, y)
         if zoom < LINK_ZOOM:
             return encode_tile([_squares(within, place)])
-        layers = [_links(self.source, within, place)]
+        layers = _links(self.source, within, place)
         if zoom >= SURFACE_ZOOM:
-            layers.append(_surfaces(self.source, within, place))
+            layers += _surfaces(self.source, within, place)
         return encode_tile(layers)
 
     def _points(self, x: int, y: int) -> bytes:
@@ -145,22 +145,37 @@ def degrees_of(x: float, y: float) -> tuple[float, float]:
     return x / (1 << ZOOM) * 360.0 - 180.0, math.degrees(math.atan(math.sinh(share)))
 
 
-def _surfaces(source: MapSource, within: Iterable[Tile], place: TilePlace) -> TileLayer:
-    layer, drawn = TileLayer(name="surfaces", kind="Polygon"), set[int]()
-    for tile in within:
-        surfaces = source.surface_tile(*tile)
-        if surfaces is None:
-            continue
-        corners = _units(_corners(surfaces).reshape(-1, 2), tile, place).reshape(-1, 4, 2)
-        sigma = np.round(surfaces.sigma_m.astype(np.float64), _MILLIMETRE_DECIMALS).tolist()
-        levels, numbers = surfaces.level.tolist(), surfaces.surface_id.tolist()
-        for row, number in enumerate(numbers):
-            if number in drawn:  # what touches two tiles stands in both
-                continue
-            drawn.add(number)
-            day = unix_ns_from_gps_ns(int(surfaces.last_seen_ns[row])) // _DAY_NS
-            layer.add(number, corners[row], {"sigma": sigma[row], "level": levels[row], "day": day})
-    return layer
+def _surfaces(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
+    """The layer of surfaces; none where there are none."""
+    read = [(tile, source.surface_tile(*tile)) for tile in within]
+    tiles = [(tile, surfaces) for tile, surfaces in read if surfaces is not None]
+    if not tiles:
+        return []
+    units = np.concatenate(
+        [_units(_corners(surfaces).reshape(-1, 2), tile, place) for tile, surfaces in tiles]
+    )
+
+    def column(name: str) -> Any:
+        return np.concatenate([getattr(surfaces, name) for _, surfaces in tiles])
+
+    numbers, once = np.unique(
+        column("surface_id"), return_index=True
+    )  # what touches two tiles stands in both
+    return [
+        TileLayer(
+            name="surfaces",
+            kind="Polygon",
+            numbers=numbers,
+            points=units.reshape(-1, _CORNERS, 2)[once].reshape(-1, 2),
+            first=np.arange(len(once) + 1) * _CORNERS,
+            properties={
+                "sigma": np.round(column("sigma_m")[once].astype(np.float64), _MILLIMETRE_DECIMALS),
+                "level": column("level")[once],
+                # Leap seconds do not matter to the age of a road.
+                "day": (column("last_seen_ns")[once] + UNIX_OF_GPS_EPOCH_NS) // NS_PER_DAY,
+            },
+        )
+    ]
 
 
 def _corners(surfaces: SurfaceTile) -> Float64:
@@ -174,30 +189,43 @@ def _corners(surfaces: SurfaceTile) -> Float64:
     return np.stack((east, north), axis=2)
 
 
-def _links(source: MapSource, within: Iterable[Tile], place: TilePlace) -> TileLayer:
-    layer, drawn = TileLayer(name="links", kind="LineString"), set[int]()
-    for tile in within:
-        links = source.link_tile(*tile)
-        if links is None:
-            continue
-        units = _units(np.column_stack((links.east_m, links.north_m)), tile, place)
-        for row, line in enumerate(np.split(units, links.first_vertex[1:-1]) if len(links.link_id) else []):
-            number = int(links.link_id[row])
-            if number not in drawn:
-                drawn.add(number)
-                layer.add(number, line, {"level": int(links.level[row])})
-    return layer
+def _links(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
+    """The layer of links; none where there are none."""
+    read = [(tile, source.link_tile(*tile)) for tile in within]
+    tiles = [(tile, links) for tile, links in read if links is not None]
+    if not tiles:
+        return []
+    units = [_units(np.column_stack((links.east_m, links.north_m)), tile, place) for tile, links in tiles]
+    vertices = np.concatenate([np.diff(links.first_vertex) for _, links in tiles])
+    numbers, once = np.unique(np.concatenate([links.link_id for _, links in tiles]), return_index=True)
+    begins = (np.cumsum(vertices) - vertices)[once]
+    first = np.append(0, np.cumsum(vertices[once]))
+    return [
+        TileLayer(
+            name="links",
+            kind="LineString",
+            numbers=numbers,
+            points=np.concatenate(units)[
+                np.arange(first[-1]) + np.repeat(begins - first[:-1], vertices[once])
+            ],
+            first=first,
+            properties={"level": np.concatenate([links.level for _, links in tiles])[once]},
+        )
+    ]
 
 
-def _squares(within: Iterable[Tile], place: TilePlace) -> TileLayer:
-    layer = TileLayer(name="squares", kind="Polygon")
+def _squares(within: Sequence[Tile], place: TilePlace) -> TileLayer:
     finer = ZOOM - place.zoom
-    scale = EXTENT >> finer
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-    for number, tile in enumerate(within):
-        at = np.array(tile) - (np.array((place.x, place.y)) << finer)
-        layer.add(number, (at + corners) * scale, {})
-    return layer
+    at = np.array(within, np.int64).reshape(-1, 1, 2) - (np.array((place.x, place.y)) << finer)
+    return TileLayer(
+        name="squares",
+        kind="Polygon",
+        numbers=np.arange(len(within)),
+        points=(at + corners).reshape(-1, 2) * (EXTENT >> finer),
+        first=np.arange(len(within) + 1) * _CORNERS,
+        properties={},
+    )
 
 
 def _units(east_north_m: Float64, tile: Tile, place: TilePlace) -> Int64:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -89,28 +89,37 @@ def decoded(tile: bytes) -> dict[str, list[tuple[int, list[tuple[int, int]], dic
     return layers
 
 
-def test_what_is_encoded_is_decoded_again() -> None:
-    roads = TileLayer(name="roads", kind="Polygon")
-    ring = np.array([(10, 20), (300, 20), (300, -7), (10, -7)])
-    roads.add(2**40, ring, {"sigma": 0.5, "level": -3})
-    roads.add(5, ring + 1, {"sigma": 0.25, "level": 2})
-    lines = TileLayer(name="lines", kind="LineString")
-    lines.add(1, np.array([(0, 0), (0, 0), (5000, 8191)]), {})
-    tile = decoded(encode_tile([roads, lines]))
-    assert tile["roads"][0] == (
-        2**40,
-        [tuple(corner) for corner in ring.tolist()],
-        {"sigma": 0.5, "level": -3},
+def layer_of(
+    kind: Literal["LineString", "Polygon"], features: dict[int, list[tuple[int, int]]], **properties: Any
+) -> TileLayer:
+    return TileLayer(
+        name=kind,
+        kind=kind,
+        numbers=np.array([*features]),
+        points=np.array([point for points in features.values() for point in points]),
+        first=np.cumsum([0, *map(len, features.values())]),
+        properties={name: np.array(column) for name, column in properties.items()},
     )
-    assert tile["roads"][1][2] == {"sigma": 0.25, "level": 2}
-    assert tile["lines"] == [(1, [(0, 0), (5000, 8191)], {})]
+
+
+def test_what_is_encoded_is_decoded_again() -> None:
+    ring = [(10, 20), (300, 20), (300, -7), (10, -7)]
+    other = [(x + 1, y + 70_000) for x, y in ring[:3]]
+    roads = layer_of("Polygon", {2**40: ring, 5: other}, sigma=[0.5, 0.25], level=[-3, 2])
+    lines = layer_of("LineString", {1: [(0, 0), (0, 0), (5000, 8191)], 0: [(9, 9), (8, 9), (8, 9), (-8, -9)]})
+    tile = decoded(encode_tile([roads, lines]))
+    assert tile["Polygon"] == [
+        (2**40, ring, {"sigma": 0.5, "level": -3}),
+        (5, other, {"sigma": 0.25, "level": 2}),
+    ]
+    assert tile["LineString"] == [(1, [(0, 0), (5000, 8191)], {}), (0, [(9, 9), (8, 9), (-8, -9)], {})]
 
 
 def test_what_has_no_size_is_left_out() -> None:
-    roads, lines = TileLayer(name="roads", kind="Polygon"), TileLayer(name="lines", kind="LineString")
-    roads.add(1, np.array([(3, 3), (3, 3), (4, 4), (4, 4)]), {})
-    lines.add(1, np.array([(3, 3), (3, 3)]), {})
-    assert encode_tile([roads, lines]) == b""
+    flat, still = [(3, 3), (3, 3), (4, 4), (4, 4)], [(3, 3), (3, 3)]
+    assert encode_tile([layer_of("Polygon", {1: flat}), layer_of("LineString", {1: still})]) == b""
+    lines = layer_of("LineString", {1: still, 2: [(3, 3), (3, 4)], 3: still}, level=[7, 8, 9])
+    assert decoded(encode_tile([lines])) == {"LineString": [(2, [(3, 3), (3, 4)], {"level": 8})]}
 
 
 @pytest.fixture(scope="module")
