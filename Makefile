@@ -15,7 +15,7 @@ SHIPPED := engine,localizer,map,fleet,plots,web,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation promises faults soak hostile golden docs image sbom licences vulnerabilities clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation promises faults soak hostile golden docs docs-site image sbom licences vulnerabilities clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -35,6 +35,7 @@ help:
 	@echo "make licences  licences of all packages; fails on one that may not be shipped"
 	@echo "make vulnerabilities  known vulnerabilities of all packages, by osv.dev"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
+	@echo "make docs-site  all pages, the Python API and the command line as a site in $(OUT)/docs-site, for reading without a network"
 	@echo "make clean   remove what was made, but .venv"
 
 # Marked when it is whole: what ended halfway is begun anew.
@@ -48,7 +49,7 @@ $(MADE):
 	@touch $@
 
 .venv/.development: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,foxglove,simulator,dev]'
+	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,foxglove,simulator,dev,docs]'
 	@touch .venv/.runtime $@
 
 .venv/.mutation: pyproject.toml constraints.txt $(MADE) | .venv/.development
@@ -100,6 +101,7 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m camber.tools.generate_docs --check
+	$(MAKE) docs-site
 	$(MAKE) licences >/dev/null
 
 # Types are checked by one processor while the other compiles.
@@ -138,6 +140,9 @@ golden: setup
 
 docs: setup
 	$(BIN)/python -m camber.tools.generate_docs
+
+docs-site: setup
+	$(BIN)/python -m camber.tools.generate_docs.site --out $(OUT)
 
 image:
 	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg PYTHON_IMAGE --build-arg KIND=compiled \

@@ -23,6 +23,7 @@ PURE = [
 IMPORTED_AS = {
     "eclipse_zenoh": "zenoh",
     "foxglove_sdk": "foxglove",
+    "griffelib": "griffe",
     "nats_py": "nats",
     "pyserial": "serial",
 }

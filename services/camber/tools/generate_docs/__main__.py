@@ -10,6 +10,7 @@ from pathlib import Path
 
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
+from camber.tools.generate_docs.decision_pages import decision_list
 from camber.tools.generate_docs.decision_table import decision_table
 from camber.tools.generate_docs.promises import promise_tables
 from camber.tools.generate_docs.service_tables import issues_by_service, parameter_table, runbook_rows
@@ -23,6 +24,7 @@ SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
         for service in (*SERVICES, SENSORS)
     },
     ("services/integrity.md", "decision table"): decision_table,
+    ("decisions/README.md", "decisions"): partial(decision_list, DOCS / "decisions"),
     ("security.md", "access table"): table_text,
     ("safety/promises.md", "promises"): partial(promise_tables, DOCS / "safety" / "promises.toml"),
     **{

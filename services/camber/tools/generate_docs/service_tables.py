@@ -40,6 +40,8 @@ def _default(value: Any) -> str:
         return "must be set"
     if value is None:
         return "unset"
+    if value == "":
+        return "empty"
     return f"`{str(value).lower() if isinstance(value, bool) else value}`"
 
 
