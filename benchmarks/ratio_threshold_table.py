@@ -1,4 +1,4 @@
-"""Makes the table of `gnss.ambiguity.ratio_threshold_table` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
+"""Makes the table of `ratio_threshold_table` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
 
 For each number of ambiguities and each bootstrapped failure rate: float ambiguities of random geometries, or the most
 precise of more decorrelated ones, their covariance scaled until bootstrapping fails just so often; then the ratio that
