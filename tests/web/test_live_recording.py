@@ -19,6 +19,7 @@ from camber.schemas.base import Message
 from camber.schemas.codec import encode
 from camber.schemas.gnss import SATELLITE_USES, Fix, SatellitesInView
 from camber.schemas.integrity import Verdict
+from camber.schemas.pose import ScanMatchPoints
 from support.browser import WatchedPage, chromium, served_address, watched
 from support.running import camber_started, replayed
 
@@ -171,3 +172,51 @@ def test_the_sky_has_the_satellites_and_names_why_some_are_left_out(
         without.wait_for(READ)
         assert "No satellites are published" in without.page.locator("camber-sky").text_content()
         assert not without.page.locator("camber-sky canvas").is_visible()
+
+
+def scan_match_points(time_ns: int) -> ScanMatchPoints:
+    """A wall in the north beyond that of the map, one in the south before it, and one point without a partner."""
+    east_m = np.arange(-15.0, 15.0, 0.1, np.float32)
+    north_m = np.concatenate((np.full(300, 10.0), np.full(300, -10.0))).astype(np.float32)
+    residual_m = np.sign(north_m) * np.float32(0.2)
+    return ScanMatchPoints(
+        time_ns=time_ns,
+        status="converged",
+        latitude_rad=math.radians(35.0),
+        longitude_rad=math.radians(137.0),
+        east_m=np.append(np.tile(east_m, 2), np.float32(0.0)),
+        north_m=np.append(north_m, np.float32(0.0)),
+        paired=np.append(np.ones(600, np.uint8), np.uint8(0)),
+        residual_m=np.append(residual_m, np.float32(0.0)),
+    )
+
+
+def test_a_scan_match_is_drawn_where_it_is_in_the_colours_of_its_residuals(
+    browser: Any, run: Path, tmp_path: Path
+) -> None:
+    path = recording(
+        tmp_path / "scan.mcap", "", ("scan_match_points", "localizer/match_points", scan_match_points)
+    )
+    with ExitStack() as ends:
+        shown = opened(ends, browser, path, "#theme=light&map=19.5/35/137/0&follow=0")
+        shown.wait_for(READ)
+        page = shown.page
+        page.keyboard.press("s")
+        shown.wait_for("document.querySelector('camber-map .line').textContent.includes('601 points')")
+        line = page.locator("camber-map .line").text_content()
+        assert "half of them within 0.20 m of the map, 1 without a surface of the map near" in line
+        assert "−10 cm" in page.locator("camber-map .key").text_content()
+        page.wait_for_timeout(500)
+        picture = Image.open(io.BytesIO(page.locator("camber-map .canvas").screenshot())).convert("RGB")
+        for colour, north_m in (((224, 106, 16), 10.0), ((33, 102, 201), -10.0)):
+            rows, columns = np.nonzero(np.abs(np.asarray(picture, np.int64) - colour).max(axis=2) < 24)
+            assert len(rows) > 300
+            expected = page.evaluate(f"camber.map.map.project([137, 35 + {north_m} / 110941]).y")
+            assert np.median(rows) == pytest.approx(expected, abs=3)
+            assert columns.max() - columns.min() > 200
+        assert shown.complaints == []
+        without = opened(ends, browser, run, "#scan=1")
+        without.wait_for(READ)
+        without.wait_for(
+            "document.querySelector('camber-map .line').textContent.startsWith('No points of a scan match')"
+        )

@@ -71,6 +71,7 @@ _ALL = " ".join(SERVICES)
 
 _NAMES = {
     "localizer/match": "scan_match",
+    "localizer/match_points": "scan_match_points",
     "antenna_height/height": "antenna_height",
     "fleet/map/root": "map_root",
     "fleet/map/blob": "map_blob",
@@ -84,6 +85,7 @@ old sample is dated, so its consumers refuse it."""
 _NOTES = {
     "receiver_bytes": "native bytes, where the receiver is not attached to gnss itself: replays",
     "verdict": "confirmed positions anchor the localizer's next pose",
+    "scan_match_points": "only while somebody subscribes",
     "map_root": "after a notice, and now and then: notices can be lost",
     "map_blob": "only what the asker lacks",
     "health": "answered by the work loop",
@@ -153,6 +155,7 @@ CHANNELS: tuple[Channel, ...] = (
         pose.ScanMatch,
         made_from="sweep",
     ),
+    _bulk("localizer/match_points", "localizer >", (1, None), pose.ScanMatchPoints, made_from="sweep"),
     _row("antenna_height/height", "antenna_height > integrity", (10, 2.0), antenna.AntennaHeight),
     _row("integrity/verdict", "integrity > localizer consumers", (10, 1.0), integrity.Verdict, looped=True),
     _row("integrity/position", "integrity > consumers", (10, 1.0), integrity.Position),

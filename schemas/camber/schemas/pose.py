@@ -13,6 +13,7 @@ from camber.schemas.base import (
     Count,
     Covariance2,
     Covariance3,
+    Float32,
     Float64,
     Height,
     Int32,
@@ -27,6 +28,7 @@ from camber.schemas.base import (
     Speed,
     Text,
     TimeNs,
+    UInt8,
     Vector3,
 )
 
@@ -210,3 +212,23 @@ class ScanMatch(Message):
         if self.layer is not None:
             return int(self.layer.max(initial=-1)) + 1
         return 0 if self.layer_mean_distance_m is None else len(self.layer_mean_distance_m)
+
+
+class ScanMatchPoints(Message):
+    """Points of one scan match where it has placed them, and their distance from the map; thinned, for viewers.
+
+    East and north are from the place of the vehicle's origin in the match. `status` is that of the registration,
+    before the match was compared with the pose.
+    """
+
+    status: Literal["converged", "ambiguous"]
+    latitude_rad: Latitude
+    longitude_rad: Longitude
+    east_m: Annotated[Float32, ArrayOf("<f4", ("points",), ge=-1000.0, le=1000.0)]
+    north_m: Annotated[Float32, ArrayOf("<f4", ("points",), ge=-1000.0, le=1000.0)]
+    paired: Annotated[UInt8, ArrayOf("|u1", ("points",), le=1)] = Field(
+        description="1: has a partner in the map; 0: `residual_m` is not known"
+    )
+    residual_m: Annotated[Float32, ArrayOf("<f4", ("points",))] = Field(
+        description="from the plane of the map's nearest points, positive beyond it as seen from the vehicle"
+    )

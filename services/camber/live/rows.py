@@ -11,7 +11,7 @@ import numpy as np
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.live.history import History, TableLayout
-from camber.live.snapshots import satellites_as_json
+from camber.live.snapshots import match_points_as_bytes, satellites_as_json
 from camber.schemas.gnss import Fix, Quality, SatellitesInView
 from camber.schemas.integrity import (
     Cause,
@@ -23,7 +23,7 @@ from camber.schemas.integrity import (
     VerdictValue,
 )
 from camber.schemas.integrity import Reason as JudgeReason
-from camber.schemas.pose import HorizontalBasis, Pose, PoseMode, RoadReason
+from camber.schemas.pose import HorizontalBasis, Pose, PoseMode, RoadReason, ScanMatchPoints
 from camber.validation.reference_trajectory import ReferenceTrajectory
 
 NAN = math.nan
@@ -46,7 +46,8 @@ _PLACES = {name: {term: place for place, term in enumerate(terms)} for name, ter
 INPUTS = ("fix", "velocity", "pose", "scan_match", "antenna_height", "motion")
 """Channels whose age is shown at each position."""
 CHANNELS = (
-    "motion", "fix", "velocity", "satellites", "pose", "scan_match", "antenna_height", "verdict", "position",
+    "motion", "fix", "velocity", "satellites", "pose", "scan_match", "scan_match_points",
+    "antenna_height", "verdict", "position",
 )  # fmt: skip
 """What the page reads, in the order in which it is made."""
 
@@ -110,6 +111,8 @@ class RowWriter:
             self._pose(time_s, message)
         elif isinstance(message, SatellitesInView):
             self._history.snapshots.add("satellites", time_s, satellites_as_json(message, time_s))
+        elif isinstance(message, ScanMatchPoints):
+            self._history.snapshots.add("scan_match_points", time_s, match_points_as_bytes(message, time_s))
 
     def _fix(self, time_s: float, fix: Fix) -> None:
         self._fixes[fix.fix_id] = fix

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from bisect import bisect_right
 from collections.abc import Iterable
@@ -13,9 +14,11 @@ import numpy as np
 from camber.formats.observations import satellite_name
 from camber.schemas.base import Float32, Float64
 from camber.schemas.gnss import SATELLITE_USES, SatellitesInView
+from camber.schemas.pose import ScanMatchPoints
 
 _LIMIT_BYTES = 32 << 20
-"""Of one kind. Chosen: six hours of satellites at 1 Hz, of 1.4 kB each."""
+"""Of one kind. Chosen: six hours of satellites at 1 Hz, of 1.4 kB each; 45 min of scan matches, of 12 kB."""
+_NOT_KNOWN = -32_768  # the least int16
 _DROP_SHARE = 8  # chosen: an eighth of the oldest goes at once, so that it is seldom
 
 
@@ -73,6 +76,18 @@ def satellites_as_json(message: SatellitesInView, time_s: float) -> bytes:
         strict=True,
     )
     return json.dumps({"t": time_s, "quality": message.quality, "satellites": list(rows)}).encode()
+
+
+def match_points_as_bytes(message: ScanMatchPoints, time_s: float) -> bytes:
+    """float64: time, latitude, longitude [deg]; int16 columns: east, north [cm], residual [mm], least: not known."""
+    head = np.array([time_s, math.degrees(message.latitude_rad), math.degrees(message.longitude_rad)], "<f8")
+    residual_mm = np.where(message.paired, _steps(message.residual_m, 1000.0), _NOT_KNOWN)
+    columns = _steps(message.east_m, 100.0), _steps(message.north_m, 100.0), residual_mm
+    return head.tobytes() + np.concatenate(columns).astype("<i2").tobytes()
+
+
+def _steps(values_m: Float32, per_m: float) -> Float64:
+    return np.clip(np.rint(values_m.astype(np.float64) * per_m), _NOT_KNOWN + 1, -_NOT_KNOWN - 1)
 
 
 def _known(values: Float32 | Float64, known: Iterable[int]) -> list[float | None]:

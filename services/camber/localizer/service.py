@@ -14,6 +14,7 @@ from camber.localizer.warm_up import warm_up
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.health.memory_release import return_freed_memory
 from camber.runtime.service import Service
+from camber.schemas.pose import ScanMatch
 from camber.schemas.road import (
     ElevationReply,
     ElevationRequest,
@@ -23,6 +24,7 @@ from camber.schemas.road import (
     TileRequest,
 )
 
+_POINTS_EVERY_NS = 1_000_000_000  # chosen: a picture that somebody looks at
 _RELEASE_MEMORY_EVERY_NS = 10_000_000_000  # chosen: blocks of the map change every 10 s or more
 
 
@@ -43,6 +45,7 @@ class LocalizerService(Service[LocalizerSettings]):
         self._given_pose_file = _GivenPoseFile(settings)
         given = None if self._given_pose_file.was_used() else settings.initial_pose
         self._memory_released_ns = 0
+        self._points_ns = 0  # time of the last match whose points were published
         self._localization = Localization(settings.options(given), _MapServerQueries(bus), bus)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -66,6 +69,8 @@ class LocalizerService(Service[LocalizerSettings]):
         step = self._localization.advance()
         for match in step.matches:
             self.bus.publish("scan_match", match)
+        if step.matches:
+            self._publish_match_points(step.matches[-1])
         if step.pose is not None:
             self.bus.publish("pose", step.pose)
         if (
@@ -75,6 +80,22 @@ class LocalizerService(Service[LocalizerSettings]):
             # Blocks of the map take and free megabytes at a time.
             self._memory_released_ns = now_ns
             return_freed_memory()
+
+    def _publish_match_points(self, match: ScanMatch) -> None:
+        """Publish the points of a match, now and then and only for somebody: a vehicle without a viewer makes none."""
+        matcher = self._localization.matcher
+        if (
+            matcher is None
+            or match.status == "lost"
+            or 0 <= match.time_ns - self._points_ns < _POINTS_EVERY_NS
+        ):
+            return
+        if not self.bus.has_subscriber("scan_match_points"):
+            return
+        points = matcher.last_points()
+        if points is not None:
+            self._points_ns = points.time_ns
+            self.bus.publish("scan_match_points", points)
 
     def healthy(self) -> bool:
         """Whether there is a pose."""

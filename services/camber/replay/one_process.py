@@ -174,6 +174,9 @@ class _Vehicle:
             raise QueryFailed("refused")
         return reply
 
+    def is_kept(self, name: str) -> bool:
+        return self._recorder is not None or name in self.recorded
+
     def is_running(self, name: str) -> bool:
         return name in self._running or name == "map_update"
 
@@ -253,6 +256,9 @@ class _ServiceBus:
 
     def publish(self, name: str, message: Message) -> None:
         self._vehicle.publish(self.service, name, message)
+
+    def has_subscriber(self, name: str) -> bool:
+        return self._vehicle.is_kept(name)
 
     def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
         raise QueryFailed("absent", name)  # nobody takes uploads

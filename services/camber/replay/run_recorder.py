@@ -16,6 +16,7 @@ from camber.road_map.road_drawing import draw_roads
 from camber.schemas.channels import CHANNELS
 from camber.schemas.codec import Received, encode
 from camber.schemas.drive import DriveManifest
+from camber.schemas.lidar import Sweep
 
 # Longer than a feeder runs ahead (4 ticks) and than a fix is late, so that the recording is in the order of time.
 _LAG_NS = 5_000_000_000
@@ -43,9 +44,9 @@ class RunRecorder:
             "settings": json.dumps(settings or {}, default=str),
         }
         self._recorder = Recorder(folder.recording_path, about=about)
-        # Bulk is not recorded: a sweep of 50,000 points has a megabyte.
+        # A sweep of 50,000 points has a megabyte.
         self._keys = {
-            channel.name: channel.key_for(vehicle) for channel in CHANNELS if channel.delivery != "bulk"
+            channel.name: channel.key_for(vehicle) for channel in CHANNELS if channel.message is not Sweep
         }
         self._channels = {key: name for name, key in self._keys.items()}
         self._start_ns = self._written_ns = start_ns

@@ -6,11 +6,13 @@ import json
 import math
 
 import numpy as np
+import pytest
 
 from camber.live.history import History
 from camber.live.rows import LAYOUTS, RowWriter
-from camber.live.snapshots import Snapshots, satellites_as_json
+from camber.live.snapshots import Snapshots, match_points_as_bytes, satellites_as_json
 from camber.schemas.gnss import SATELLITE_USES, SatellitesInView
+from camber.schemas.pose import ScanMatchPoints
 
 START_NS = 1_400_000_000 * 1_000_000_000
 USED, OUTLIER = SATELLITE_USES.index("used"), SATELLITE_USES.index("outlier")
@@ -59,3 +61,21 @@ def test_satellites_of_the_bus_are_kept_until_time_goes_back() -> None:
     for time_s in (100.0, 0.0):
         history.append("pose", (time_s, 0.0, 0.0), (0.0,) * 9)
     assert history.snapshots.at("satellites", 4e9) is None
+
+
+def test_points_of_a_match_are_in_whole_centimetres_and_one_without_a_partner_has_the_least_number() -> None:
+    points = ScanMatchPoints(
+        time_ns=START_NS,
+        status="converged",
+        latitude_rad=0.5,
+        longitude_rad=-1.0,
+        east_m=np.array([1.234, -999.0, 0.0], np.float32),
+        north_m=np.array([-2.0, 0.0, 3.0], np.float32),
+        paired=np.array([1, 1, 0], np.uint8),
+        residual_m=np.array([-0.0123, 1e9, 0.0], np.float32),
+    )
+    data = match_points_as_bytes(points, 12.5)
+    assert np.frombuffer(data, "<f8", 3) == pytest.approx([12.5, math.degrees(0.5), math.degrees(-1.0)])
+    east_cm, north_cm, residual_mm = np.frombuffer(data, "<i2", offset=24).reshape(3, -1).tolist()
+    assert (east_cm, north_cm) == ([123, -32767, 0], [-200, 0, 300])
+    assert residual_mm == [-12, 32767, -32768]

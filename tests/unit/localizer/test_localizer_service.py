@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -22,7 +23,7 @@ from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict, VerdictValue
 from camber.schemas.motion import Motion
-from camber.schemas.pose import Pose, Road
+from camber.schemas.pose import Pose, Road, ScanMatch
 from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest, Places, RoadsAhead
 from support.fake_bus import FakeBus
 from support.small_map import at
@@ -560,3 +561,17 @@ def test_motion_that_goes_back_in_time_is_an_issue_and_moves_nothing() -> None:
 
 def test_inputs_are_motion_fix_verdict_and_sweep() -> None:
     assert set(Drive().handlers) == {"motion", "fix", "verdict", "sweep"}
+
+
+def test_points_of_matches_are_published_once_a_second_and_only_while_somebody_subscribes() -> None:
+    drive, published = Drive(), list[int]()
+    bus: Any = drive.bus
+    matcher: Any = SimpleNamespace(last_points=lambda: SimpleNamespace(time_ns=now_ns))
+    drive.service._localization.matcher = matcher
+    bus.publish = lambda name, message: published.append((message.time_ns - START_NS) // (NS // 10))
+    for bus.has_subscriber in (lambda _: False, lambda name: name == "scan_match_points"):
+        for tenth in range(25):
+            now_ns = START_NS + tenth * NS // 10
+            status: Any = "lost" if tenth == 10 else "converged"
+            drive.service._publish_match_points(ScanMatch(time_ns=now_ns, status=status))
+    assert published == [0, 11, 21]

@@ -15,6 +15,7 @@ export const KEYS = [
   ["f", "f", "keep the vehicle in the middle"],
   ["a", "a", "show the whole track"],
   ["p", "p", "points of the map's environment"],
+  ["s", "s", "points of the last scan match"],
   ["t", "t", "light or dark"],
   ["Escape", "Esc", "let go of the fix looked at"],
   ["?", "?", "this list"],

@@ -46,7 +46,7 @@ find("map").paint();
 const keys = {
   " ": () => view.toggle(), ArrowLeft: event => view.move(event.shiftKey ? -60 : -1), ArrowRight: event => view.move(event.shiftKey ? 60 : 1),
   Home: () => view.move(-1e9), End: () => view.newest(), b: () => view.move(-600), "+": () => view.longer(-1), "=": () => view.longer(-1), "-": () => view.longer(1),
-  w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), p: () => map.setPoints(!view.points), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
+  w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), p: () => map.setPoints(!view.points), s: () => map.scan.toggle(), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
 };
 addEventListener("keydown", event => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input, dialog")) return;

@@ -5,6 +5,7 @@ import { colour, element, plain, remPx, VERDICT_COLOURS } from "./dom.js";
 import { drawLegend, drawScaleAndNorth, keyLines, rampLines, RAMPS } from "./map_marks.js";
 import { Overlay, stateAt } from "./overlay.js";
 import { PointsLayer } from "./points.js";
+import { ScanMatchView } from "./scan.js";
 import { rgba, TrackLayer } from "./track.js";
 
 const NEAR_PX = 14;
@@ -16,6 +17,7 @@ export class CamberMap extends HTMLElement {
     this.key = element("details", { class: "key", open: innerWidth > 760 });
     this.tools = element("div", { class: "tools" });
     this.overlay = new Overlay();
+    this.scan = new ScanMatchView(this);
     this.append(this.canvas, this.overlay.canvas, this.tools, this.key);
     this.makeTools();
     store.addEventListener("greeting", () => this.drawKey());
@@ -52,7 +54,7 @@ export class CamberMap extends HTMLElement {
     levels.value = view.level;
     this.pointing = element("button", { type: "button", title: "points of the map's environment (p)", onclick: () => this.setPoints(!view.points) }, "points");
     this.pointing.setAttribute("aria-pressed", String(view.points));
-    this.tools.append(this.following, whole, this.pointing, colours, levels);
+    this.tools.append(this.following, whole, this.pointing, this.scan.button, colours, levels, this.scan.line);
   }
 
   open() {
@@ -116,6 +118,7 @@ export class CamberMap extends HTMLElement {
       table: () => store.tables.verdict, code: (table, at) => table.arrays.verdict[at], emphasis: store.words.verdict.indexOf("erroneous"), size: size(4.5, 10), range,
       colours: () => [...store.words.verdict.map(word => rgba(colour(VERDICT_COLOURS[word] ?? "unknown"))), ...Array(6)].slice(0, 6).map(c => c ?? [0, 0, 0, 0]),
     }));
+    this.scan.addLayer(map);
     this.filter();
   }
 
@@ -197,6 +200,13 @@ export class CamberMap extends HTMLElement {
     this.map.jumpTo({ center: [table.arrays.lon[at], table.arrays.lat[at]], zoom: Math.max(this.map.getZoom(), 19.5) });
   }
 
+  // A place in the middle of the map, at least so large.
+  showPlace(center, zoom) {
+    if (!this.ready) return;
+    this.placed = true;
+    this.map.jumpTo({ center, zoom: Math.max(this.map.getZoom(), zoom) });
+  }
+
   mark() { this.map?.triggerRepaint(); }
 
   // Places of the verdicts at the cursor and of the one that is looked at.
@@ -233,7 +243,7 @@ export class CamberMap extends HTMLElement {
 
   drawKey() {
     this.key.dataset.words = String(this.store.words.verdict);
-    this.key.replaceChildren(element("summary", {}, "key"), ...keyLines(this.legend()), ...(this.store.greeting?.map ? rampLines(RAMPS[this.view.colour]) : []));
+    this.key.replaceChildren(element("summary", {}, "key"), ...keyLines(this.legend()), ...this.scan.key(), ...(this.store.greeting?.map ? rampLines(RAMPS[this.view.colour]) : []));
   }
 
   // The map as it is now, with its scale and north, on a canvas.
@@ -247,7 +257,7 @@ export class CamberMap extends HTMLElement {
         const factor = copy.width / this.canvas.clientWidth, y = this.canvas.clientHeight / 2;
         const metresPerPixel = this.map.unproject([0, y]).distanceTo(this.map.unproject([100, y])) / 100;
         drawScaleAndNorth(c, copy, { factor, metresPerPixel, bearing: this.map.getBearing() });
-        drawLegend(c, copy, factor, this.legend());
+        drawLegend(c, copy, factor, [...this.legend(), ...this.scan.legend()]);
         done(copy);
       });
       this.map.triggerRepaint();

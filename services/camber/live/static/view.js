@@ -16,6 +16,7 @@ export class View extends EventTarget {
     this.theme = null;
     this.colour = "sigma";
     this.points = false;
+    this.scan = false;
     this.level = "all";
     this.pinned = false; // the end came from the address
     this.restore();
@@ -31,6 +32,7 @@ export class View extends EventTarget {
     if (Number.isFinite(number("at"))) this.selected = number("at");
     if (given.get("follow") === "0") this.follow = false;
     if (given.get("points") === "1") this.points = true;
+    if (given.get("scan") === "1") this.scan = true;
     if (["light", "dark"].includes(given.get("theme"))) this.theme = given.get("theme");
     if (["sigma", "day", "level"].includes(given.get("colour"))) this.colour = given.get("colour");
     if (/^-?\d{1,2}$/.test(given.get("level") || "")) this.level = given.get("level");
@@ -45,6 +47,7 @@ export class View extends EventTarget {
     if (Number.isFinite(this.selected)) parts.set("at", this.selected.toFixed(3));
     if (!this.follow) parts.set("follow", "0");
     if (this.points) parts.set("points", "1");
+    if (this.scan) parts.set("scan", "1");
     if (this.theme) parts.set("theme", this.theme);
     if (this.colour !== "sigma") parts.set("colour", this.colour);
     if (this.level !== "all") parts.set("level", this.level);

@@ -26,15 +26,24 @@ def voxel_means(points_m: Floats, voxel_m: float) -> Floats:
 
 
 def thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floats:
-    """Return at most so many of the points (n, 3) [m], one per voxel, in their order.
+    """Return at most so many of the points (n, 3) [m], as `rows_thinned_evenly`."""
+    thinned: Floats = np.ascontiguousarray(points_m, np.float64)[
+        rows_thinned_evenly(points_m, at_most, voxel_m)
+    ]
+    return thinned
+
+
+def rows_thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Integers:
+    """Return rows of at most so many of the points (n, 3) [m], one per voxel, ascending.
 
     Voxels grow from `voxel_m` until they are few enough. No means: the mean of points at a corner lies off both faces.
     """
     points_m = np.ascontiguousarray(points_m, dtype=np.float64)
-    while len(points_m) > at_most:
-        points_m = points_m[first_of_voxels(points_m, voxel_m)]
-        voxel_m *= max(_COARSER, 0.9 * math.sqrt(len(points_m) / at_most))
-    return points_m
+    rows: Integers = np.arange(len(points_m))
+    while len(rows) > at_most:
+        rows = rows[first_of_voxels(points_m[rows], voxel_m)]
+        voxel_m *= max(_COARSER, 0.9 * math.sqrt(len(rows) / at_most))
+    return rows
 
 
 def voxel_count(points_m: Floats, voxel_m: float) -> int:

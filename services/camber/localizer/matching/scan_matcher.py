@@ -50,6 +50,7 @@ from camber.localizer.matching.layered_matching import (
 from camber.localizer.matching.local_map import LEVEL, LocalMap
 from camber.localizer.matching.match_candidate import MatchCandidate, MatchPlace
 from camber.localizer.matching.match_guide import SEARCH_PAUSE_NS, CertaintyLimits, MatchGuide
+from camber.localizer.matching.match_points import match_points
 from camber.localizer.matching.match_view import MatchView, match_view
 from camber.localizer.matching.scan_match_message import scan_match_message
 from camber.localizer.matching.structure_likelihood import outweighs_rivals, with_shift_variance
@@ -60,7 +61,7 @@ from camber.localizer.matching.sweep_preparation import (
 )
 from camber.localizer.road.road_attitude import GroundPlane, ground_plane
 from camber.schemas.lidar import Sweep
-from camber.schemas.pose import Road, ScanMatch
+from camber.schemas.pose import Road, ScanMatch, ScanMatchPoints
 
 _MAX_QUEUED: Final = 3  # chosen: of sweeps; a later one replaces the oldest
 _MOTION_WAIT_NS: Final = 300_000_000  # chosen: how long a sweep waits for the motion of its end
@@ -161,6 +162,10 @@ class ScanMatcher:
         if last is None:
             return None
         return match_view(last.time_ns, last.scan, last.place.block, last.match, options=self._options.match)
+
+    def last_points(self) -> ScanMatchPoints | None:
+        """The points of the last match and their residuals, for viewers; None without one."""
+        return None if self._last is None else match_points(self._last, self._options.match)
 
     def process(self, plane: LocalPlane | None, road: Road) -> ScanMatcherOutput:
         """Match the sweeps whose motion is known; `road` is the one below the last pose."""
