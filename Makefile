@@ -11,7 +11,7 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 OUT := out
 # The extras that images install.
-SHIPPED := engine,localizer,map,fleet,plots,web,simulator
+SHIPPED := engine,localizer,map,fleet,plots,web,foxglove,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 

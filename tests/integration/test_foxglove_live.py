@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import struct
 import time
 from collections.abc import Iterator
@@ -124,6 +125,16 @@ def test_a_viewer_gets_fixes_and_the_track_live(endpoint: str, tmp_path: Path) -
     assert schemas["/gnss/fix"] == "camber.Fix.v1"
     (_, roads) = viewer.received["/map/roads"][0]
     assert json.loads(decode("GeoJSON", roads)["geojson"])["features"]
+
+
+@pytest.mark.parametrize(("options", "is_reached"), [((), False), (("--published-on-loopback",), True)])
+def test_another_address_reaches_it_only_in_a_container(
+    endpoint: str, options: tuple[str, ...], is_reached: bool
+) -> None:
+    with camber_started("foxglove", "--connect", endpoint, "--port", "0", *options) as process:
+        port = int(url_of(process).rpartition(":")[2])
+        with socket.socket() as caller:
+            assert (caller.connect_ex(("127.0.0.2", port)) == 0) is is_reached
 
 
 def test_a_port_in_use_and_a_map_that_is_none_are_one_line(endpoint: str, tmp_path: Path) -> None:

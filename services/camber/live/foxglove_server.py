@@ -49,7 +49,9 @@ def main(argv: Sequence[str]) -> int:
     channels = [c for c in CHANNELS if c.delivery == "small" or (c.delivery == "bulk" and not args.no_sweeps)]
     try:
         roads = None if args.map is None else draw_roads(open_release(args.map).road_links())
-        viewers = Viewers(settings.vehicle, args.port)
+        viewers = Viewers(
+            settings.vehicle, args.port, host="0.0.0.0" if args.published_on_loopback else "127.0.0.1"
+        )
     except (FormatError, OSError, RuntimeError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
@@ -74,9 +76,9 @@ def main(argv: Sequence[str]) -> int:
 
 
 class Viewers:
-    """A WebSocket server on this machine's loopback address. Raises RuntimeError where the port is in use."""
+    """A WebSocket server. Raises RuntimeError where the port is in use."""
 
-    def __init__(self, name: str, port: int) -> None:
+    def __init__(self, name: str, port: int, *, host: str = "127.0.0.1") -> None:
         self.flood = self.malformed = 0
         self._messages = ViewerMessages()
         self._context = foxglove.Context()
@@ -87,7 +89,7 @@ class Viewers:
         self._newest_ns = 0
         self._server: WebSocketServer = foxglove.start_server(
             name=f"Camber: {name}",
-            host="127.0.0.1",
+            host=host,
             port=port,
             capabilities=[Capability.Time],
             server_listener=_Subscriptions(self._wanted, self._lock),
@@ -172,6 +174,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--map", type=Path, metavar="DIR", help="release of the map, whose roads are shown")
     add_with_default(
         parser, "--port", _PORT, "port to serve on, 0: any", type=whole_from(0, 65_535), metavar="N"
+    )
+    parser.add_argument(
+        "--published-on-loopback",
+        action="store_true",
+        help="in a container: serve on every address; this machine publishes the port on a loopback address only",
     )
     parser.add_argument("--no-sweeps", action="store_true", help="leave out sweeps, 1 MB each")
     parser.add_argument(
