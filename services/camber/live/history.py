@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -130,30 +130,22 @@ class History:
             return self._texts[at] if generation == self.generation and 0 <= at < len(self._texts) else None
 
     def batch(self, cursor: Cursor, limit: int) -> tuple[bytes | None, Cursor]:
-        """What a browser lacks, up to `limit` rows of each table, and its new cursor; None where it lacks nothing.
+        """What a browser lacks (`encoded_rows`), up to `limit` rows of each table, and its new cursor.
 
-        Bytes: u32 length of the header, the header as JSON (padded with blanks so that columns begin at multiples of
-        8), then for each table of the header its float64 columns and its float32 columns, one after another, padded.
+        None where it lacks nothing.
         """
         with self._lock:
             if cursor.generation != self.generation:
                 cursor = self.start()
-            header: list[dict[str, Any]] = []
-            parts: list[bytes] = []
-            ends = []
-            for table, begin in zip(self._tables.values(), cursor.rows, strict=True):
-                first, exact, rest = table.rows(begin, limit)
-                ends.append(first + len(exact))
-                if len(exact):
-                    header.append({"name": table.layout.name, "first": first, "rows": len(exact)})
-                    parts += [_padded(exact.T.tobytes()), _padded(rest.T.tobytes())]
+            rows = [
+                RowBlock(table.layout.name, *table.rows(begin, limit))
+                for table, begin in zip(self._tables.values(), cursor.rows, strict=True)
+            ]
             generation = self.generation
-        if not parts:
+        if not any(len(block.exact) for block in rows):
             return None, cursor
-        text = json.dumps({"generation": generation, "tables": header}).encode()
-        text += b" " * (-(len(text) + 4) % _PAD)
-        data = b"".join((len(text).to_bytes(4, "little"), text, *parts))
-        return data, Cursor(generation=generation, rows=tuple(ends))
+        ends = tuple(block.first + len(block.exact) for block in rows)
+        return encoded_rows(rows, generation), Cursor(generation=generation, rows=ends)
 
     def _begin_anew(self) -> None:
         self.generation += 1
@@ -161,6 +153,29 @@ class History:
         self.snapshots.clear()
         for table in self._tables.values():
             table.clear()
+
+
+class RowBlock(NamedTuple):
+    """Rows of a table from number `first` on: float64 columns (n, k) and float32 columns (n, m)."""
+
+    table: str
+    first: int
+    exact: Float64
+    rest: Float32
+
+
+def encoded_rows(blocks: Sequence[RowBlock], generation: int) -> bytes:
+    """Rows as the page takes them.
+
+    Bytes: u32 length of the header, the header as JSON (padded with blanks so that columns begin at multiples of 8),
+    then for each table of the header its float64 columns and its float32 columns, one after another, padded.
+    """
+    blocks = [block for block in blocks if len(block.exact)]
+    header = [{"name": block.table, "first": block.first, "rows": len(block.exact)} for block in blocks]
+    text = json.dumps({"generation": generation, "tables": header}).encode()
+    text += b" " * (-(len(text) + 4) % _PAD)
+    columns = [_padded(part.T.tobytes()) for block in blocks for part in (block.exact, block.rest)]
+    return b"".join((len(text).to_bytes(4, "little"), text, *columns))
 
 
 def columns_of(layouts: Sequence[TableLayout]) -> Mapping[str, Mapping[str, Sequence[str]]]:

@@ -111,9 +111,9 @@ class MapTiles:
         within, place = self._within(zoom, x, y), TilePlace(zoom, x, y)
         if zoom < LINK_ZOOM:
             return encode_tile([_squares(within, place)])
-        layers = _links(self.source, within, place)
+        layers = link_layers(self.source, within, place)
         if zoom >= SURFACE_ZOOM:
-            layers += _surfaces(self.source, within, place)
+            layers += surface_layers(self.source, within, place)
         return encode_tile(layers)
 
     def _points(self, x: int, y: int) -> bytes:
@@ -145,7 +145,7 @@ def degrees_of(x: float, y: float) -> tuple[float, float]:
     return x / (1 << ZOOM) * 360.0 - 180.0, math.degrees(math.atan(math.sinh(share)))
 
 
-def _surfaces(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
+def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
     """The layer of surfaces; none where there are none."""
     read = [(tile, source.surface_tile(*tile)) for tile in within]
     tiles = [(tile, surfaces) for tile, surfaces in read if surfaces is not None]
@@ -189,7 +189,7 @@ def _corners(surfaces: SurfaceTile) -> Float64:
     return np.stack((east, north), axis=2)
 
 
-def _links(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
+def link_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
     """The layer of links; none where there are none."""
     read = [(tile, source.link_tile(*tile)) for tile in within]
     tiles = [(tile, links) for tile, links in read if links is not None]

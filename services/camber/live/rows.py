@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from typing import Any, get_args
+from collections.abc import Sequence
+from typing import Any, Protocol, get_args
 
 import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
-from camber.live.history import History, TableLayout
+from camber.live.history import TableLayout
 from camber.live.snapshots import match_points_as_bytes, satellites_as_json
 from camber.schemas.gnss import Fix, Quality, SatellitesInView
 from camber.schemas.integrity import (
@@ -82,12 +83,30 @@ LAYOUTS = (
 )  # fmt: skip
 
 
+class SnapshotSink(Protocol):
+    """What keeps bytes by kind and time, as `Snapshots` does."""
+
+    def add(self, kind: str, time_s: float, data: bytes) -> None:
+        """Keep the bytes of a time."""
+
+
+class RowSink(Protocol):
+    """What keeps rows, as `History` does."""
+
+    @property
+    def snapshots(self) -> SnapshotSink:
+        """Where snapshots go."""
+
+    def append(self, table: str, exact: Sequence[float], rest: Sequence[float], text: str = "") -> None:
+        """Append a row to a table."""
+
+
 class RowWriter:
-    """Appends the rows of messages to a history. `truth` gives errors, where there is one."""
+    """Appends the rows of messages to a sink. `truth` gives errors, where there is one."""
 
     def __init__(
         self,
-        history: History,
+        history: RowSink,
         truth: ReferenceTrajectory | None = None,
         offset_enu_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:

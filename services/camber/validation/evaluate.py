@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from camber.formats.drive.recording import Recorded, load_recording
 from camber.formats.errors import FormatError
-from camber.replay.run_folder import RunFolder
+from camber.replay.run_folder import DriveFacts, RunFolder
+from camber.road_map.release import Release, ReleaseError, open_release
 from camber.validation.evaluation import CHANNELS, Evaluation, evaluate
+from camber.validation.report.chart_data import CHART_CHANNELS, chart_data
 from camber.validation.report.page import render
 
 
@@ -35,14 +38,24 @@ def evaluate_folder(
         recorded, damage = _load(folder, partial)
     evaluation = evaluate(recorded, drive, run, truth, damage=damage)
     folder.write_summary(evaluation.summary)
-    folder.write_report(render(evaluation))
+    folder.write_report(render(evaluation, chart_data(recorded, drive, truth, _release(folder, drive))))
     return evaluation
+
+
+def _release(folder: RunFolder, drive: DriveFacts) -> Release | None:
+    """The map of the run; None where it had none, or where it is not there any more."""
+    path = folder.map_release(drive)
+    if path is None:
+        return None
+    with suppress(ReleaseError):
+        return open_release(path)
+    return None
 
 
 def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any]]], list[str]]:
     path = folder.recording_path
     try:
-        recorded, errors = load_recording(path, CHANNELS)
+        recorded, errors = load_recording(path, {*CHANNELS, *CHART_CHANNELS})
     except OSError as error:
         actual = error.strerror or str(error)
         raise FormatError(path.name, "file", "a readable recording", actual=actual) from None

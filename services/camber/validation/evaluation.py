@@ -47,7 +47,7 @@ class Evaluation:
     """The summary, and the data behind it for the report.
 
     `rows` in the order of time, with `tentative_error_enu_m` and `confirmed_error_m` (3D), NaN without such a position
-    or without truth; `fixes` and `episodes` are of the rows `fix_rows`.
+    or without truth; `fixes` and `episodes` are of the rows `fix_rows`; `epochs_ns` are the times of all epochs.
     """
 
     summary: dict[str, Any]
@@ -59,6 +59,7 @@ class Evaluation:
     episodes: list[Episode]
     positions: Positions
     localizer_record: LocalizerRecord
+    epochs_ns: Int64
 
 
 def evaluate(
@@ -135,6 +136,7 @@ def evaluate(
         episodes=episodes_of(fixes, decisions),
         positions=positions,
         localizer_record=localizer_record,
+        epochs_ns=epochs,
     )
 
 

@@ -43,7 +43,7 @@ def share_interval(hits: Float64, trials: Float64, *, seed: int) -> tuple[float,
     return float(low), float(high)
 
 
-def clopper_pearson(events: float, trials: float) -> tuple[float, float]:
+def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """One-sided lower and upper bound of a probability, each of 95 %; numbers need not be integers.
 
     Raises ValueError where there are more events than trials, or either is negative.
@@ -52,9 +52,18 @@ def clopper_pearson(events: float, trials: float) -> tuple[float, float]:
         raise ValueError(f"{events} events of {trials} trials")
     if trials == 0.0:
         return 0.0, 1.0
-    low = 0.0 if events == 0.0 else _beta_quantile(1.0 - CONFIDENCE, events, trials - events + 1.0)
-    high = 1.0 if events == trials else _beta_quantile(CONFIDENCE, events + 1.0, trials - events)
+    low = 0.0 if events == 0.0 else _beta_quantile(1.0 - confidence, events, trials - events + 1.0)
+    high = 1.0 if events == trials else _beta_quantile(confidence, events + 1.0, trials - events)
     return low, high
+
+
+def rate_interval(events: float, trials: float) -> tuple[float, float]:
+    """Interval (95 %) of a probability: between two bounds of 97.5 %, or below or above one of 95 %.
+
+    The latter where no trial or every trial had the event; it is the rule of three there.
+    """
+    one_sided = events in (0.0, trials)
+    return clopper_pearson(events, trials, CONFIDENCE if one_sided else 0.5 * (1.0 + CONFIDENCE))
 
 
 def incomplete_beta(x: float, a: float, b: float) -> float:

@@ -89,7 +89,7 @@ export class CamberCharts extends HTMLElement {
       scales: { x: { time: true, range: () => [view.begin, view.end] }, y: definition.logarithmic ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: definition.range } },
       axes: [
         { ...axis, size: lowest ? letters + 9 : 4, space: 6.5 * letters, values: (_, splits) => splits.map(time => !lowest ? "" : time % 60 === 0 ? clock(time).slice(0, 5) : clock(time).slice(0, 8)) },
-        definition.band ? { ...axis, size: axisPx, values: () => [], grid: { show: false } } : { ...axis, size: axisPx, space: 2.4 * letters, values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(3)).replace("-", "−")) },
+        definition.band ? { ...axis, size: axisPx, values: () => [], grid: { show: false } } : { ...axis, size: axisPx, space: 1.9 * letters, ...(definition.logarithmic ? { splits: (_, __, low, high) => roundNumbers(low, high) } : {}), values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(5)).replace("-", "−")) },
       ],
       series: [{}, ...definition.series.map(series => definition.band ? { ...series, show: true, paths: () => null, points: { show: false } } : series)],
       bands: definition.bands ?? [],
@@ -145,7 +145,8 @@ export class CamberCharts extends HTMLElement {
     for (let k = 0; k < t.length; k++) {
       const from = plot.valToPos(t[k], "x", true), until = Math.min(t[k + 1] ?? t[k] + .2, t[k] + 2);
       ctx.fillStyle = colour(colours[source[k]] ?? "none");
-      const x = Math.max(from, bbox.left), end = Math.min(plot.valToPos(until, "x", true), bbox.left + bbox.width);
+      // Whole pixels, since half of one shows where two pieces meet.
+      const x = Math.floor(Math.max(from, bbox.left)), end = Math.ceil(Math.min(plot.valToPos(until, "x", true), bbox.left + bbox.width));
       ctx.fillRect(x, bbox.top, Math.max(end - x, 1), bbox.height);
     }
     ctx.restore();
@@ -232,7 +233,14 @@ function heightLimit(a, rows) {
   return Math.min(4 * most, 20);
 }
 
-export function decades(low, high) {
+// Powers of ten between two numbers; where there are fewer than three, with twice and five times them.
+export function roundNumbers(low, high) {
+  const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9), powers = [];
+  for (let power = first - 1; power <= last; power++) powers.push(...(last - first < 2 ? [1, 2, 5] : [1]).map(step => +(step * 10 ** power).toPrecision(1)));
+  return powers.filter(value => value >= low * .999 && value <= high * 1.001);
+}
+
+function decades(low, high) {
   if (!(low > 0)) return [.1, 100];
   return [10 ** (Math.floor(Math.log10(low) * 2) / 2), 10 ** (Math.ceil(Math.log10(high * 1.05) * 2) / 2)];
 }

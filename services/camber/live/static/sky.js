@@ -43,7 +43,7 @@ export class CamberSky extends HTMLElement {
   }
 
   draw() {
-    const { sky, view } = this, age = sky ? view.end - sky.t : NaN, shown = age < STALE_S;
+    const { sky, view } = this, age = sky ? view.shown - sky.t : NaN, shown = age < STALE_S;
     for (const part of [this.canvas, this.legend, this.reasons]) part.hidden = !shown;
     if (!shown) {
       setText(this.line, sky ? `No satellites for ${duration(age)}.` : NOTHING);

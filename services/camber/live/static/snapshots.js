@@ -8,14 +8,13 @@ export class SnapshotReader {
   // Calls back with a Response, or null where there is nothing; not at all where nothing has changed.
   async read(answer) {
     const { store, view } = this;
-    if (this.busy || !Number.isFinite(view.end)) return;
-    const key = `${store.generation}/${store.greeting?.title}/${view.running ? Math.floor(view.end) : view.end}/${store.complete}`;
+    if (this.busy || !Number.isFinite(view.shown)) return;
+    const key = `${store.generation}/${store.greeting?.title}/${view.running ? Math.floor(view.shown) : view.shown}/${store.complete}`;
     if (key === this.asked) return;
     this.busy = true;
     this.asked = key;
     try {
-      const reply = await fetch(`snapshot/${this.kind}/${view.end.toFixed(3)}`);
-      await answer(reply.status === 200 ? reply : null);
+      await answer(await store.snapshot(this.kind, view.shown));
     } catch { this.asked = null; /* the server is gone: the bar says so */ }
     this.busy = false;
   }

@@ -116,6 +116,12 @@ export class Store extends EventTarget {
     } catch { return ""; /* the server is gone: the bar says so */ }
   }
 
+  // What the server has of a kind at a time, as a Response; null where there is nothing.
+  async snapshot(kind, time) {
+    const reply = await fetch(`snapshot/${kind}/${time.toFixed(3)}`);
+    return reply.status === 200 ? reply : null;
+  }
+
   word(list, place) { return Number.isFinite(place) ? this.words[list]?.[place] ?? "" : ""; }
 }
 

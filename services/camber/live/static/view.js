@@ -23,6 +23,7 @@ export class View extends EventTarget {
   }
 
   get live() { return this.store.greeting?.mode === "bus"; }
+  get shown() { return this.end; } // the time of what is shown of one time
   get begin() { return this.end - this.span; }
 
   restore() {

@@ -1,29 +1,41 @@
 """report.html: the results of one drive as a self-contained page that fetches nothing.
 
-Tables are made here, charts by the script of the template from the data embedded as JSON. Every untrusted text passes
-through `html.escape` or `embedded_json`.
+Headlines and tables are made here; map and charts are components of the live page on rows embedded in the page. Every
+untrusted text passes through `html.escape` or `embedded_json`.
 """
 
 from __future__ import annotations
 
 import html
 import json
-import math
-import re
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from camber.formats.drive.truth_csv import WRONG_M
+from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.validation.evaluation import Evaluation
-from camber.validation.fix_statistics import EPISODE_GAP_S, RIGHT_M
+from camber.validation.fix_statistics import CAUTIOUS_GAP_S, EPISODE_GAP_S, RIGHT_M
 from camber.validation.judged_fixes import JudgedFix
-from camber.validation.report.chart_data import chart_data, embedded_json, start_ns_of
+from camber.validation.report.bundle import HERE, filled, page
+from camber.validation.report.chart_data import ChartData
+from camber.validation.report.headlines import (
+    LEAST_TRIALS,
+    NBSP,
+    NOT_KNOWN,
+    Headline,
+    count_headline,
+    interval_text,
+    metres,
+    percent,
+    pieces_of,
+    quantile_headline,
+    rate_claim,
+    share_headline,
+)
+from camber.validation.statistics import rate_interval
 
-_NBSP = "\u00a0"
-_NONE = '<span class="absent">–</span>'
-_NOT_KNOWN = '<span class="absent">not known</span>'
+_NOT_KNOWN = f'<span class="absent">{NOT_KNOWN}</span>'
 _JUDGES = {
     "ratio_test_only": "Ratio test only",
     "height_only": "Height only",
@@ -31,38 +43,37 @@ _JUDGES = {
 }
 
 
-def render(evaluation: Evaluation) -> str:
+def render(evaluation: Evaluation, charts: ChartData) -> str:
     """The page as text."""
     summary = evaluation.summary
     parts = {
-        "title": f"{_text(summary['drive'])} · Camber",
         "drive": _text(summary["drive"]),
         "subtitle": _subtitle(summary),
         "banners": _banners(summary),
-        "tiles": _tiles(summary),
+        "tiles": "".join(map(_tile, headlines(evaluation))),
+        "tiles_note": _TILES_NOTE,
+        "left_out": charts.left_out,
         "baselines": _baselines(summary),
         "baselines_note": _BASELINES_NOTE.format(summary["controls"]["height_only"]["tolerance_m"]),
-        "error_note": _ERROR_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford_note": _STANFORD_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford": _stanford(summary),
         "reasons": _reasons(summary),
-        "coverage": _coverage(summary),
+        "coverage": _coverage(evaluation),
         "localizer": _localizer(summary),
         "episodes_note": _episodes_note(summary),
         "episodes": _episodes(evaluation),
         "definitions": _DEFINITIONS,
         "summary_json": _text(json.dumps(summary, indent=2, ensure_ascii=False)),
-        "data": embedded_json(chart_data(evaluation)),
     }
-    template = files("camber.validation.report").joinpath("template.html").read_text("utf-8")
-    # In one pass, so that untrusted text cannot contain a placeholder.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+    content = filled((HERE / "report.html").read_text("utf-8"), parts)
+    title = f"{_text(summary['drive'])} · Camber"
+    return page(title, content, script="report.js", facts=charts.facts, rows=charts.rows)
 
 
 _NO_TRUTH = "This drive has no truth: figures that need it are not known."
-_ERROR_NOTE = (
-    "Distance in 3D from the truth at the antenna, after the constant offset of the drive. "
-    "Rings: candidate fixes (ratio test passed). Dots: confirmed positions."
+_TILES_NOTE = (
+    f"A rate has its 95{NBSP}% interval and n, the number of independent trials; below n = {LEAST_TRIALS} counts stand "
+    "without a rate."
 )
 _STANFORD_NOTE = (
     "Error of each epoch's position and its protection level. Below the diagonal the error exceeds the level: "
@@ -75,6 +86,8 @@ _DEFINITIONS = f"""<dl>
 the constant offset; between them neither</dd>
 <dt>episode</dt><dd>wrong fixes without a right one between them, at most {EPISODE_GAP_S:g} s apart; missed
 where a wrong position was confirmed in it</dd>
+<dt>n</dt><dd>independent trials: episodes counted with gaps of up to {CAUTIOUS_GAP_S:g} s; of epochs, the pieces of
+{CAUTIOUS_GAP_S:g} s that contain any</dd>
 <dt>3/n</dt><dd>upper 95 % bound of the rate of missed episodes, with none of n missed</dd>
 <dt>ratio test only</dt><dd>every fix that passed the ratio test is confirmed</dd>
 <dt>height only</dt><dd>fix height against recorded road elevation + antenna height, one fixed tolerance: no
@@ -110,88 +123,86 @@ def _banners(summary: dict[str, Any]) -> str:
     )
 
 
-def _tiles(summary: dict[str, Any]) -> str:
-    confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
-    position, error_m, latency = summary["position"], summary["position"]["error_m"], summary["latency_ms"]
-    limit_m = position["alert_limit_m"]
-    reference = " and ".join(position["horizontal_reference"]) or "not known"
-    fixes = f"{_count(summary['tentative']['wrong'])} of {summary['tentative']['fixed']:,} fixes were wrong"
-    without_truth = confirmed["truth_unknown"]
-    fixes += f"; {without_truth:,} confirmed where the truth is not known" if without_truth else ""
-    limit = f"{limit_m:g}{_NBSP}m" if limit_m else "its alert limit"
-    tiles = [
-        _tile("Wrong positions confirmed", confirmed["wrong"], confirmed["count"] - without_truth, fixes),
-        _tile("Wrong episodes missed", episodes["missed"], episodes["n"], _bound(episodes)),
-        _plain_tile("Right fixes kept", _percent(right["kept"]), f"of {_count(right['count'])} right fixes"),
-        _plain_tile(
-            "Position available",
-            _percent(position["availability"]),
-            f"of epochs: 99.9 % radius below {limit}",
-        ),
-        _plain_tile(
-            "Position usable",
-            _percent(position["usable"]),
-            f"of epochs: both protection levels below their limits; horizontal reference {reference}",
-        ),
-        _plain_tile(
-            "Horizontal error, 95 %",
-            _metres(error_m["p95"]),
-            f"median {_metres(error_m['p50'])}, 99.9 % {_metres(error_m['p999'])}",
-        ),
-        _plain_tile("Fix to verdict", _milliseconds(latency["p50"]), f"99 % {_milliseconds(latency['p99'])}"),
-    ]
-    return "".join(tiles)
-
-
-def _tile(name: str, bad: int | None, of: int | None, more: str) -> str:
-    """A tile that is good at zero, bad above, and neutral where nothing could fail."""
-    if bad is None:
-        return _plain_tile(name, _NOT_KNOWN, "no truth")
-    kind = "bad" if bad else "good" if of else ""
-    return _plain_tile(name, f"{bad:,} <small>of {_count(of)}</small>", more, kind)
-
-
-def _plain_tile(name: str, value: str, more: str, kind: str = "") -> str:
-    if value == _NOT_KNOWN and _NOT_KNOWN in more:
-        more = ""
-    return (
-        f'<div class="tile {kind}"><div class="name">{name}</div><div class="value">{value}</div>'
-        f'<div class="more">{more}</div></div>'
+def headlines(evaluation: Evaluation) -> list[Headline]:
+    """The tiles, in their order."""
+    summary, positions, fixes = evaluation.summary, evaluation.positions, evaluation.fixes
+    confirmed, episodes, position = summary["confirmed"], summary["episodes"], summary["position"]
+    cautious, epochs_ns = (
+        episodes["cautious"] or {"n": None, "missed": None, "gap_s": 0.0},
+        evaluation.epochs_ns,
     )
+    unknown, wrong, limit_m = (
+        confirmed["truth_unknown"],
+        summary["tentative"]["wrong"],
+        position["alert_limit_m"],
+    )
+    fixed = f"{NOT_KNOWN if wrong is None else f'{wrong:,}'} of {summary['tentative']['fixed']:,} fixes were wrong"
+    fixed += f"; {unknown:,} confirmed where the truth is not known" if unknown else ""
+    claim = rate_claim(cautious["missed"], cautious["n"], f"episodes {cautious['gap_s']:g} s apart")
+    limit = f"{limit_m:g}{NBSP}m" if limit_m else "its alert limit"
+    reference = " and ".join(position["horizontal_reference"]) or NOT_KNOWN
+    usable = f"epochs: both protection levels below their limits; horizontal reference {reference}"
+    return [
+        count_headline(
+            "Wrong positions confirmed",
+            confirmed["wrong"],
+            confirmed["count"] - unknown,
+            more=fixed,
+            trials=cautious["n"],
+        ),
+        count_headline(
+            "Wrong episodes missed", episodes["missed"], episodes["n"], more=claim, trials=cautious["n"]
+        ),
+        share_headline(
+            "Right fixes kept", summary["right"]["kept"], fixes.time_ns[fixes.right], "right fixes"
+        ),
+        share_headline(
+            "Position available",
+            position["availability"],
+            epochs_ns,
+            f"epochs: 99.9{NBSP}% radius below {limit}",
+        ),
+        share_headline("Position usable", position["usable"], epochs_ns, usable),
+        quantile_headline("Horizontal error", positions.horizontal_error_m, positions.time_ns),
+        _latency(summary),
+    ]
 
 
-def _bound(episodes: dict[str, Any]) -> str:
-    if episodes["n"] is None or episodes["missed"]:
-        return "" if episodes["n"] is None else "no bound: some were missed"
-    if episodes["bound"] is None:
-        return "no wrong episode: no bound"
-    cautious = episodes["cautious"]
+def _latency(summary: dict[str, Any]) -> Headline:
+    """Of the machine that ran the drive; a quantile of 99 % rests on at least 300 verdicts, by the rule of three."""
+    latency, count = summary["latency_ms"], summary["verdicts"]["count"]
+    most = f"99{NBSP}%: {_milliseconds(latency['p99'])}, " if count >= 300 else ""
+    more = f"{most}n = {count:,} verdicts on the machine that ran this"
+    return Headline(name="Fix to verdict, median", value=_milliseconds(latency["p50"]), more=more)
+
+
+def _tile(headline: Headline) -> str:
     return (
-        f"rate below {_upper(episodes['bound'])} (3/n); counted with gaps of {cautious['gap_s']:g} s, "
-        f"n = {cautious['n']}: below {_upper(cautious['bound'])}"
+        f'<div class="tile {headline.kind}"><div class="name">{_text(headline.name)}</div>'
+        f'<div class="value">{_text(headline.value)}</div><div class="more">{_text(headline.more)}</div></div>'
     )
 
 
 def _baselines(summary: dict[str, Any]) -> str:
     head = [
         "Judge", "Confirmed", "wrong among them", "Right fixes kept", "right fixes called erroneous",
-        "Fixes called erroneous", "Fixes left unknown", "Episodes missed", "3/n",
+        "Fixes called erroneous", "Fixes left unknown", "Episodes missed", "<Rate of missed episodes",
     ]  # fmt: skip
     judges = {"Camber": summary, **{_JUDGES[name]: value for name, value in summary["controls"].items()}}
     rows = []
     for name, f in judges.items():
         wrong, missed, n = f["confirmed"]["wrong"], f["episodes"]["missed"], f["episodes"]["n"]
-        bound = f["episodes"]["bound"]
+        cautious = f["episodes"]["cautious"] or {"n": None, "missed": None}
         cells = [
             f"<td>{name}</td>",
             f"<td>{f['confirmed']['count']:,}</td>",
             f"<td{_flag(wrong)}>{_count(wrong)}</td>",
-            f"<td>{_percent(f['right']['kept'])}</td>",
+            f"<td>{_kept(f['right'])}</td>",
             f"<td>{_count(f['right']['erroneous'])}</td>",
             f"<td>{f['erroneous']['count']:,}</td>",
             f"<td>{f['unknown']['of_fixed']:,}</td>",
             f"<td{_flag(missed)}>{_NOT_KNOWN if n is None else f'{missed} of {n}'}</td>",
-            f"<td>{_NONE if bound is None else _upper(bound)}</td>",
+            f'<td class="left">{rate_claim(cautious["missed"], cautious["n"], "episodes")}</td>',
         ]
         rows.append(f"<tr{' class=camber' if name == 'Camber' else ''}>{''.join(cells)}</tr>")
     return _table(head, rows)
@@ -218,17 +229,32 @@ def _reasons(summary: dict[str, Any]) -> str:
     return _table(["Verdict", "<Reason", "Verdicts", "<"], rows)
 
 
-def _coverage(summary: dict[str, Any]) -> str:
-    if summary["coverage"] is None:
+def _kept(right: dict[str, Any]) -> str:
+    if right["kept"] is None:
+        return _NOT_KNOWN
+    return f"{round(right['kept'] * right['count']):,} of {right['count']:,}"
+
+
+def _coverage(evaluation: Evaluation) -> str:
+    coverage, positions = evaluation.summary["coverage"], evaluation.positions
+    if coverage is None:
         return f'<p class="absent">{_NO_TRUTH}</p>'
-    rows = [
-        f"<tr><td>{_spaced(source)}</td><td>{c['epochs']:,}</td>"
-        f"<td{_flag(c['inside_99'] is not None and c['inside_99'] < 0.99)}>{_percent(c['inside_99'])}</td>"
-        f"<td{_flag(c['inside_999'] is not None and c['inside_999'] < 0.999)}>"
-        f"{_percent(c['inside_999'], 2)}</td></tr>"
-        for source, c in summary["coverage"].items()
-    ]
-    return _table(["Source", "Epochs", "99 % ellipse", "99.9 % ellipse"], rows)
+    known, rows = np.isfinite(positions.square_in_ellipse()), []
+    for source, c in coverage.items():
+        pieces = pieces_of(positions.time_ns[known & ((positions.source == source) | (source == "all"))])
+        inside = _inside(c["inside_99"], 0.99, pieces) + _inside(c["inside_999"], 0.999, pieces)
+        rows.append(f"<tr><td>{_spaced(source)}</td><td>{c['epochs']:,}</td><td>{pieces}</td>{inside}</tr>")
+    return _table(["Source", "Epochs", "n", f"99{NBSP}% ellipse", f"99.9{NBSP}% ellipse"], rows)
+
+
+def _inside(share: float | None, target: float, pieces: int) -> str:
+    """The share inside an ellipse with its interval; marked where even the interval is below the target."""
+    if share is None:
+        return f"<td>{_NOT_KNOWN}</td>"
+    if pieces < LEAST_TRIALS:
+        return f"<td>{percent(share, 2)}, n too small</td>"
+    bad = rate_interval(share * pieces, pieces)[1] < target
+    return f"<td{_flag(bad)}>{percent(share, 2)} ({interval_text(share * pieces, pieces)})</td>"
 
 
 def _stanford(summary: dict[str, Any]) -> str:
@@ -269,7 +295,7 @@ def _localizer(summary: dict[str, Any]) -> str:
     localizer = summary["localizer"]
     rows = [
         f'<tr><td class="left">{what}</td><td class="left">{_spaced(name)}</td><td>{count:,}</td>'
-        f"<td>{_percent(count / sum(counts.values()))}</td></tr>"
+        f"<td>{percent(count / sum(counts.values()))}</td></tr>"
         for what, counts in (("pose", localizer["modes"]), ("scan match", localizer["matches"]))
         for name, count in counts.items()
     ]
@@ -280,9 +306,7 @@ def _localizer(summary: dict[str, Any]) -> str:
         "sensor, by the ground in its sweeps": localizer["ground_height_m"],
         **{f"antenna, by {method}": height for method, height in localizer["antenna_height_m"].items()},
     }
-    known = [
-        f"{_spaced(name)} {height:.3f}{_NBSP}m" for name, height in heights.items() if height is not None
-    ]
+    known = [f"{_spaced(name)} {height:.3f}{NBSP}m" for name, height in heights.items() if height is not None]
     note = f'<p class="note">Median height above the road: {"; ".join(known)}.</p>' if known else ""
     return _table(["<Of what", "<Mode or status", "Count", "Share"], rows) + note
 
@@ -294,36 +318,34 @@ def _episodes_note(summary: dict[str, Any]) -> str:
     if cautious is None:
         return "The truth is not known at any fix."
     return (
-        f"{summary['episodes']['n']} episodes with gaps of up to {EPISODE_GAP_S:g} s, "
-        f"{cautious['n']} with gaps of up to {cautious['gap_s']:g} s: the conservative count of independent "
-        "trials. Click on one to show it in the charts."
+        f"{summary['episodes']['n']} with gaps of up to {EPISODE_GAP_S:g} s; {cautious['n']} with gaps of up to "
+        f"{cautious['gap_s']:g} s, the conservative count of independent trials. A click shows one in map and charts."
     )
 
 
 def _episodes(evaluation: Evaluation) -> str:
     if not evaluation.episodes:
         return ""
-    start_ns = start_ns_of(evaluation)
     rows = []
     for number, episode in enumerate(evaluation.episodes, 1):
         at = evaluation.fix_rows[list(episode.fixes)]
         enu_m = evaluation.tentative_error_enu_m[at]
-        begin_s, end_s = (episode.start_ns - start_ns) / 1e9, (episode.end_ns - start_ns) / 1e9
+        begin_s, end_s = (unix_ns_from_gps_ns(at_ns) / 1e9 for at_ns in (episode.start_ns, episode.end_ns))
         size = [np.linalg.norm(enu_m, axis=1), np.hypot(enu_m[:, 0], enu_m[:, 1]), np.abs(enu_m[:, 2])]
         cells = [
             f"<td>{number}</td>",
             f"<td>{_clock(begin_s)}</td>",
             f"<td>{end_s - begin_s:.1f} s</td>",
             f"<td>{len(at)}</td>",
-            *(f"<td>{_metres(max(values.tolist(), default=None))}</td>" for values in size),
+            *(f"<td>{_text(metres(max(values.tolist(), default=None)))}</td>" for values in size),
             f'<td class="left">{_verdict_counts([evaluation.rows[i] for i in at.tolist()])}</td>',
             '<td class="left bad">missed</td>' if episode.missed else '<td class="left">caught</td>',
         ]
         rows.append(
-            f'<tr class="go" tabindex="0" data-start="{begin_s:.3f}" data-end="{end_s:.3f}">'
+            f'<tr class="go" tabindex="0" data-begin="{begin_s:.3f}" data-end="{end_s:.3f}">'
             f"{''.join(cells)}</tr>"
         )
-    head = ["Episode", "Start", "Length", "Fixes", "Largest 3D", "horizontal", "vertical", "<Verdicts"]
+    head = ["Episode", "Start, UTC", "Length", "Fixes", "Largest 3D", "horizontal", "vertical", "<Verdicts"]
     return _table([*head, "<Outcome"], rows)
 
 
@@ -356,34 +378,18 @@ def _count(value: int | None) -> str:
     return _NOT_KNOWN if value is None else f"{value:,}"
 
 
-def _percent(share: float | None, decimals: int = 1) -> str:
-    """A share in percent; only 1 is written as 100 %."""
-    if share is None:
-        return _NOT_KNOWN
-    step = 10.0**-decimals
-    return f"{100 * share if share == 1.0 else min(100 * share, 100 - step):.{decimals}f}{_NBSP}%"
-
-
-def _upper(bound: float) -> str:
-    """A bound in whole percent, rounded up so that it still holds."""
-    return f"{math.ceil(100 * bound - 1e-9)}{_NBSP}%"
-
-
-def _metres(value: float | None) -> str:
-    return _NOT_KNOWN if value is None else f"{value:.2f}{_NBSP}m"
-
-
 def _milliseconds(value: float | None) -> str:
-    return _NOT_KNOWN if value is None else f"{value:.3g}{_NBSP}ms"
+    return _NOT_KNOWN if value is None else f"{value:.3g}{NBSP}ms"
 
 
-def _clock(time_s: float) -> str:
-    minutes, seconds = divmod(time_s, 60)
-    return f"{int(minutes):02d}:{seconds:04.1f}"
+def _clock(unix_s: float) -> str:
+    """Time of day, UTC."""
+    minutes, seconds = divmod(unix_s % 86_400.0, 60.0)
+    return f"{int(minutes) // 60:02d}:{int(minutes) % 60:02d}:{seconds:04.1f}"
 
 
 def _colour(verdict: str) -> str:
-    names = {"confirmed_after_verification": "verified", "no_verdict": "silent"}
+    names = {"confirmed_after_verification": "verified", "no_verdict": "faint"}
     return f"var(--{names.get(verdict, verdict)})"
 
 
