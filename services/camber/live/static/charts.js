@@ -7,6 +7,7 @@ const MOST_POINTS = 1600; // about what a chart has pixels
 const AGES = ["fix", "velocity", "pose", "scan_match", "antenna_height", "motion"];
 const AGE_COLOURS = ["confirmed", "verified", "level", "pose", "erroneous", "soft"];
 const MOST_AGE_S = 3;
+const MOST_WAIT_S = 1; // chosen: the newest points of a long time are a pixel, but not older than this
 
 export class CamberCharts extends HTMLElement {
   start(store, view) {
@@ -14,7 +15,8 @@ export class CamberCharts extends HTMLElement {
     this.charts = [];
     store.addEventListener("greeting", () => this.make());
     view.addEventListener("theme", () => this.make());
-    view.addEventListener("view", () => this.refresh());
+    view.addEventListener("view", () => { if (!this.isWithinPixel()) this.refresh(); });
+    view.addEventListener("slow", () => { if (this.drawn && this.drawn.end !== view.end) this.refresh(); });
     view.addEventListener("hover", () => this.showHover());
     this.resizing = new ResizeObserver(() => this.resize());
   }
@@ -80,7 +82,7 @@ export class CamberCharts extends HTMLElement {
     const box = element("div", { class: definition.band ? "chart band" : "chart" }, head, holder);
     const letters = Math.round(11 * remPx() / 14), axisPx = Math.round(50 * remPx() / 14);
     const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: `${letters}px system-ui, sans-serif` };
-    const plot = new uPlot({
+    const plot = plotOnProcessor({
       width: 300, height: 80, legend: { show: false }, padding: [6, 8, 0, 0],
       cursor: {
         drag: { x: true, y: false, setScale: false }, y: false, points: { show: false },
@@ -116,8 +118,15 @@ export class CamberCharts extends HTMLElement {
     }
   }
 
+  // Time that runs has not moved the charts by a pixel since they were drawn.
+  isWithinPixel() {
+    const { running, span, end } = this.view, { drawn } = this, passed = end - drawn?.end;
+    return running && span === drawn?.span && passed >= 0 && passed < Math.min(span / this.charts[0].plot.width, MOST_WAIT_S);
+  }
+
   refresh() {
     if (!Number.isFinite(this.view.end)) return;
+    this.drawn = { span: this.view.span, end: this.view.end };
     for (const chart of this.charts) {
       const table = this.store.tables[chart.table];
       const rows = shownRows(table, this.view.begin, this.view.end, chart.extreme && table.arrays[chart.extreme]);
@@ -206,6 +215,14 @@ export class CamberCharts extends HTMLElement {
 
 export const dots = name => ({ stroke: colour(name), width: 0, paths: () => null, points: { show: true, size: 5, width: 0, fill: colour(name) } });
 export const line = (name, dash) => ({ stroke: colour(name), width: 1.6, dash, points: { show: false } });
+// uPlot asks for its context without attributes. Where WebGL is software, a chart's dots take the processor 150 ms as
+// paths of a graphics processor, and a millisecond as pixels of its own.
+function plotOnProcessor(options, data, holder) {
+  const { prototype } = HTMLCanvasElement, { getContext } = prototype;
+  prototype.getContext = function (kind) { return getContext.call(this, kind, { willReadFrequently: true }); };
+  try { return new uPlot(options, data, holder); } finally { prototype.getContext = getContext; }
+}
+
 export const known = value => Number.isFinite(value) ? value : null;
 export const positive = value => value > 0 && Number.isFinite(value) ? value : null;
 

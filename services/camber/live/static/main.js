@@ -12,10 +12,8 @@ import "./fleet.js";
 import { savePicture, saveTable } from "./exports.js";
 
 const EVERY_MS = 100; // as often as batches come
-const EVERY_LONG_MS = 400; // of a long time nothing moves within a pixel
 const MARGIN_MS = 10; // batches and frames do not come at exact times
 const SLOW_MS = 1000;
-const LONG_S = 900;
 
 const store = new Store(), view = new View(store), find = name => document.querySelector(`camber-${name}`);
 const map = find("map"), charts = find("charts"), fix = find("fix"), help = find("help");
@@ -59,7 +57,7 @@ addEventListener("keydown", event => {
 
 let dirty = false, drawn = 0, slow = 0, before = performance.now(), whole = false;
 store.addEventListener("rows", () => {
-  dirty = true;
+  dirty ||= view.running || !(store.earliest > view.end); // what is later than the time shown changes nothing
   store.arrived = Date.now() / 1000;
   showWhole();
   // At once, and not in the next frame: the map then draws in that frame what would come a frame later.
@@ -80,9 +78,8 @@ function update(now) {
   const shown = view.end;
   view.tick((now - before) / 1000);
   before = now;
-  const every = view.span > LONG_S ? EVERY_LONG_MS : EVERY_MS;
   dirty ||= view.end !== shown;
-  if (!dirty || now - drawn < every - MARGIN_MS) return;
+  if (!dirty || now - drawn < EVERY_MS - MARGIN_MS) return;
   dirty = false;
   drawn = now;
   view.dispatchEvent(new Event("view"));

@@ -88,6 +88,7 @@ export class Store extends EventTarget {
       for (const table of Object.values(this.tables)) table.clear();
     }
     let offset = 4 + length;
+    this.earliest = Infinity; // time of the first row of this batch
     for (const { name, first, rows } of header.tables) {
       const table = this.tables[name], columns = [];
       table.columns.forEach((_, k) => {
@@ -97,6 +98,7 @@ export class Store extends EventTarget {
         offset += array.byteLength;
       });
       offset += -offset & 7;
+      this.earliest = Math.min(this.earliest, columns[0][0]);
       table.append(first, rows, columns);
     }
     this.dispatchEvent(new Event("rows"));
