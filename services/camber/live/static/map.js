@@ -21,10 +21,6 @@ export class CamberMap extends HTMLElement {
     this.append(this.canvas, this.overlay.canvas, this.tools, this.key);
     this.makeTools();
     store.addEventListener("greeting", () => this.drawKey());
-    if (!hasWebGL()) {
-      this.append(element("p", { class: "notice" }, "This browser has no WebGL 2, so the map is not drawn. Charts, fixes and health work without it."));
-      return;
-    }
     maplibregl.setWorkerUrl(new URL("./vendor/maplibre-gl/maplibre-gl-worker.mjs", import.meta.url).href);
     store.addEventListener("greeting", () => this.open());
     view.addEventListener("view", () => this.refresh());
@@ -62,10 +58,11 @@ export class CamberMap extends HTMLElement {
     this.ready = false;
     this.placed = this.given = Boolean(this.view.place);
     const [zoom, latitude, longitude, bearing] = this.view.place ?? [1, 20, 0, 0];
-    const map = this.map = new maplibregl.Map({
+    const map = this.map = this.newMap({
       container: this.canvas, style: this.style(), center: [longitude, latitude], zoom, bearing, maxZoom: 24, minZoom: 1, maxPitch: 0,
       attributionControl: false, dragRotate: true, pitchWithRotate: false, fadeDuration: 0, canvasContextAttributes: { antialias: false },
     });
+    if (!map) return;
     map.addControl(new maplibregl.NavigationControl({ visualizePitch: false }), "top-right");
     map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-left");
     map.on("load", () => { this.addLayers(); this.ready = true; this.paint(); this.refresh(); this.refreshFleet(); if (this.whole) this.fitWhole(); });
@@ -84,6 +81,14 @@ export class CamberMap extends HTMLElement {
       if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store.fleet, this.view.vehicle);
       else if (this.now) this.overlay.draw(map, this.now, this.marked());
     });
+  }
+
+  // Null where the browser has no WebGL 2; to ask it before would cost a context more.
+  newMap(options) {
+    try { return new maplibregl.Map(options); } catch {
+      this.notice ??= this.appendChild(element("p", { class: "notice" }, "This browser has no WebGL 2, so the map is not drawn. Charts, fixes and health work without it."));
+      return null;
+    }
   }
 
   style() {
@@ -269,10 +274,6 @@ function rampExpression(name) {
   const today = Date.now() / 864e5;
   const value = name === "day" ? ["max", 0, ["-", today, ["get", "day"]]] : ["get", name];
   return ["interpolate", ["linear"], value, ...RAMPS[name].stops.flat()];
-}
-
-function hasWebGL() {
-  try { return Boolean(document.createElement("canvas").getContext("webgl2")); } catch { return false; }
 }
 
 customElements.define("camber-map", CamberMap);

@@ -24,10 +24,14 @@ export class PointsLayer {
   onAdd(map, gl) {
     this.map = map;
     this.gl = gl;
+    map.on("moveend", () => this.fetchSeen());
+  }
+
+  // Linked when it is used first: that waits for all that is being drawn.
+  link(gl) {
     const program = this.program = linkedProgram(gl, VERTEX, FRAGMENT);
     this.places = uniformPlaces(gl, program, ["u_matrix", "u_size", "u_low", "u_high", "u_lower", "u_upper"]);
     this.attribute = gl.getAttribLocation(program, "a_point");
-    map.on("moveend", () => this.fetchSeen());
   }
 
   show(on) {
@@ -74,6 +78,7 @@ export class PointsLayer {
     const seen = this.seen().map(([x, y]) => this.tiles.get(`${x}/${y}`)).filter(tile => tile?.count);
     if (!seen.length) return;
     const matrix = Array.from(args.defaultProjectionData.mainMatrix), side = 2 ** TILE_ZOOM;
+    if (!this.program) this.link(gl);
     gl.useProgram(this.program);
     gl.bindVertexArray(null);
     gl.disable(gl.DEPTH_TEST);

@@ -2,7 +2,7 @@
 
 const VERTEX = `#version 300 es
 uniform mat4 u_matrix; uniform float u_size; uniform vec4 u_colours[6]; uniform float u_alpha; uniform float u_only;
-in vec2 a_place; in float a_code; out vec4 v_colour;
+layout(location = 0) in vec2 a_place; layout(location = 1) in float a_code; out vec4 v_colour;
 void main() {
   bool shown = a_code >= 0.0 && (u_only < 0.0 || abs(a_code - u_only) < 0.5);
   gl_Position = shown ? u_matrix * vec4(a_place, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
@@ -32,6 +32,16 @@ export function linkedProgram(gl, vertex, fragment) {
   return program;
 }
 
+// Linking waits for all that is being drawn, so the layers of one map share the program.
+const programs = new WeakMap();
+function trackProgram(gl) {
+  if (!programs.has(gl)) {
+    const program = linkedProgram(gl, VERTEX, FRAGMENT);
+    programs.set(gl, { program, places: uniformPlaces(gl, program, ["u_matrix", "u_size", "u_colours", "u_alpha", "u_only"]) });
+  }
+  return programs.get(gl);
+}
+
 export const uniformPlaces = (gl, program, names) => Object.fromEntries(names.map(name => [name, gl.getUniformLocation(program, name)]));
 
 export class TrackLayer {
@@ -45,24 +55,21 @@ export class TrackLayer {
 
   onAdd(map, gl) {
     this.map = map;
-    const program = this.program = linkedProgram(gl, VERTEX, FRAGMENT);
-    this.places = uniformPlaces(gl, program, ["u_matrix", "u_size", "u_colours", "u_alpha", "u_only"]);
+    Object.assign(this, trackProgram(gl));
     this.buffer = gl.createBuffer();
     this.capacity = 0;
     this.uploaded = 0;
     this.array = gl.createVertexArray();
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
-    const place = gl.getAttribLocation(program, "a_place"), code = gl.getAttribLocation(program, "a_code");
-    gl.enableVertexAttribArray(place);
-    gl.vertexAttribPointer(place, 2, gl.FLOAT, false, 12, 0);
-    gl.enableVertexAttribArray(code);
-    gl.vertexAttribPointer(code, 1, gl.FLOAT, false, 12, 8);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 12, 0);
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(1, 1, gl.FLOAT, false, 12, 8);
     gl.bindVertexArray(null);
   }
 
   onRemove(_, gl) {
-    gl.deleteProgram(this.program);
     gl.deleteBuffer(this.buffer);
     gl.deleteVertexArray(this.array);
   }
