@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from camber import cli
+from camber.replay.short_drive import write_short_drive
 from camber.validation.plots import (
     draw_dots,
     draw_key,
@@ -88,8 +90,10 @@ def test_commands_start_without_matplotlib() -> None:
 
 
 def test_where_matplotlib_is_missing_one_line_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert cli.main(["lab", "--quick"]) == 2
-    assert capsys.readouterr().err == "camber lab: matplotlib is not installed; it comes with camber[plots]\n"
+    manifest = write_short_drive(tmp_path / "drive")
+    assert cli.main(["localize", str(manifest), "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert err == "camber localize: matplotlib is not installed; it comes with camber[plots]\n"

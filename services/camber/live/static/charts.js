@@ -91,7 +91,7 @@ export class CamberCharts extends HTMLElement {
       scales: { x: { time: true, range: () => [view.begin, view.end] }, y: definition.logarithmic ? { distr: 3, range: (_, low, high) => decades(low, high) } : { range: definition.range } },
       axes: [
         { ...axis, size: lowest ? letters + 9 : 4, space: 6.5 * letters, values: (_, splits) => splits.map(time => !lowest ? "" : time % 60 === 0 ? clock(time).slice(0, 5) : clock(time).slice(0, 8)) },
-        definition.band ? { ...axis, size: axisPx, values: () => [], grid: { show: false } } : { ...axis, size: axisPx, space: 1.9 * letters, ...(definition.logarithmic ? { splits: (_, __, low, high) => roundNumbers(low, high) } : {}), values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(5)).replace("-", "−")) },
+        definition.band ? { ...axis, size: axisPx, values: () => [], grid: { show: false } } : { ...axis, size: axisPx, space: 1.9 * letters, ...(definition.logarithmic ? { splits: (_, __, low, high) => roundNumbers(low, high), filter: (_, splits) => splits } : {}), values: (_, splits) => splits.map(value => value === null ? "" : String(+value.toPrecision(5)).replace("-", "−")) },
       ],
       series: [{}, ...definition.series.map(series => definition.band ? { ...series, show: true, paths: () => null, points: { show: false } } : series)],
       bands: definition.bands ?? [],

@@ -37,6 +37,8 @@ export function drawLegend(c, { width, height }, factor, entries) {
 export function drawScaleAndNorth(c, { width, height }, { factor, metresPerPixel, bearing = 0 }) {
   const most = 140 * metresPerPixel, decade = 10 ** Math.floor(Math.log10(most));
   const length = [5, 2, 1].map(step => step * decade).find(step => step <= most), pixels = length / metresPerPixel * factor;
+  c.fillStyle = colour("card") + "b0";
+  c.fillRect(10 * factor, height - 38 * factor, pixels + 12 * factor, 28 * factor);
   c.strokeStyle = c.fillStyle = colour("ink");
   c.lineWidth = 2 * factor;
   c.textAlign = "left";

@@ -11,10 +11,9 @@ from pathlib import Path
 from camber.formats.errors import FormatError
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import PROCESSES, SEED, whole_from
-from camber.validation.lab.charts import charts
+from camber.validation.lab.html_page import lab_html
 from camber.validation.lab.page import page
 from camber.validation.lab.run import RunSize, run
-from camber.validation.plots import require_matplotlib
 
 _PROG = "camber lab"
 TRIALS, QUICK_TRIALS = 1_000_000, 4_000
@@ -43,7 +42,6 @@ def _page_of(path: Path) -> str:
 
 
 def _write(options: argparse.Namespace) -> None:
-    require_matplotlib()
     trials = QUICK_TRIALS if options.quick else options.trials
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)
@@ -53,15 +51,19 @@ def _write(options: argparse.Namespace) -> None:
     (options.out / "lab.json").write_text(json.dumps(figures, indent=1), "utf-8")
     text = page(figures)
     (options.out / "lab.md").write_text(text, "utf-8")
-    for name, svg in charts(figures).items():
-        (options.out / name).write_text(svg, "utf-8")
+    (options.out / "lab.html").write_text(lab_html(figures), "utf-8")
     print(text, end="")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__.split(":", 1)[1].strip())
     add, each = parser.add_argument, f"episodes of each kind in each headline scene ({TRIALS:,})"
-    add("--out", type=Path, default=Path("out/lab"), help="folder of lab.json, lab.md and the charts")
+    add(
+        "--out",
+        type=Path,
+        default=Path("out/lab"),
+        help="folder of lab.json, lab.md and lab.html, the page with charts",
+    )
     add("--trials", type=whole_from(1, 10**9), default=TRIALS, help=each)
     add("--seed", type=SEED, default=1, help="of every draw (1)")
     add("--processes", type=PROCESSES, default=2, help="the figures do not depend on it (2)")

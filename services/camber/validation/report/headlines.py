@@ -44,6 +44,8 @@ def count_headline(
     """Events that should not occur, as a count: bad where there are some, good where none of enough trials was one."""
     if events is None or of is None:
         return Headline(name=name, value=NOT_KNOWN, more="no truth")
+    if not of:
+        return Headline(name=name, value="none occurred", more="nothing to count")
     kind: Literal["", "good", "bad"] = "good" if (trials or 0) >= LEAST_TRIALS else ""
     return Headline(name=name, value=f"{events:,} of {of:,}", more=more, kind="bad" if events else kind)
 

@@ -201,8 +201,8 @@ def _baselines(summary: dict[str, Any]) -> str:
             f"<td>{_count(f['right']['erroneous'])}</td>",
             f"<td>{f['erroneous']['count']:,}</td>",
             f"<td>{f['unknown']['of_fixed']:,}</td>",
-            f"<td{_flag(missed)}>{_NOT_KNOWN if n is None else f'{missed} of {n}'}</td>",
-            f'<td class="left">{rate_claim(cautious["missed"], cautious["n"], "episodes")}</td>',
+            f"<td{_flag(missed)}>{_NOT_KNOWN if n is None else f'{missed} of {n}' if n else 'none'}</td>",
+            f'<td class="left">{rate_claim(cautious["missed"], cautious["n"], "episodes") if n else "–"}</td>',
         ]
         rows.append(f"<tr{' class=camber' if name == 'Camber' else ''}>{''.join(cells)}</tr>")
     return _table(head, rows)
@@ -317,6 +317,8 @@ def _episodes_note(summary: dict[str, Any]) -> str:
     cautious = summary["episodes"]["cautious"]
     if cautious is None:
         return "The truth is not known at any fix."
+    if not summary["episodes"]["n"]:
+        return "No fix was wrong."
     return (
         f"{summary['episodes']['n']} with gaps of up to {EPISODE_GAP_S:g} s; {cautious['n']} with gaps of up to "
         f"{cautious['gap_s']:g} s, the conservative count of independent trials. A click shows one in map and charts."

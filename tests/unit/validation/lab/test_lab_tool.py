@@ -6,7 +6,6 @@ import json
 import pickle
 from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ import pytest
 from camber.validation.lab import command as lab
 from camber.validation.lab.error_model import HEADLINE
 from camber.validation.lab.false_alarms import alarms_block
+from camber.validation.lab.html_page import lab_html
 from camber.validation.lab.missed_detection import MissedDetections, missed_block
 from camber.validation.lab.page import page
 from camber.validation.lab.work_blocks import WorkBlock, workers
@@ -26,13 +26,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_run_leaves_figures_tables_and_charts(folder: Path) -> None:
-    assert {path.name for path in folder.iterdir()} == {
-        "lab.json", "lab.md", "missed.svg", "stanford-rtk.svg", "stanford-doppler.svg", "stanford-sensors.svg",
-        "stanford-scan_match.svg",
-    }  # fmt: skip
-    for path in folder.glob("*.svg"):
-        assert ElementTree.parse(path).getroot().tag.endswith("svg")
+def test_a_run_leaves_figures_tables_and_a_page(folder: Path) -> None:
+    assert {path.name for path in folder.iterdir()} == {"lab.json", "lab.md", "lab.html"}
     figures = json.loads((folder / "lab.json").read_text("utf-8"))
     assert figures["seed"] == 3
     assert {row["kind"] for row in figures["missed"]} == {"search", "cycles"}
@@ -69,6 +64,16 @@ def test_a_requirement_that_is_not_met_is_marked(folder: Path) -> None:
     rows = [row for row in page(figures).splitlines() if "hazardously" in row or "false alarms" in row]
     assert any("hazardously" in row and "**no**" in row for row in rows)
     assert any("LiDAR σ 0.05 m" in row and row.endswith("yes |") for row in rows)
+
+
+def test_the_html_page_has_all_tables_and_names_too_few_episodes(folder: Path) -> None:
+    html = (folder / "lab.html").read_text("utf-8")
+    tables = (folder / "lab.md").read_text("utf-8").count("\n| --- |")
+    assert html.count("<table>") == tables > 5
+    assert "60 episodes of each kind cannot show a rate of 1e-4: 30,000 are needed (3/n)." in html
+    assert "<strong>no</strong>" in html
+    figures = json.loads((folder / "lab.json").read_text("utf-8"))
+    assert "cannot show" not in lab_html(figures | {"trials": 30_000})
 
 
 @pytest.mark.parametrize("content", ["{", "{}", '{"missed": 3}'])

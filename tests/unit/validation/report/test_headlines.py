@@ -58,6 +58,7 @@ def test_only_a_count_of_enough_trials_is_good_and_any_event_is_bad() -> None:
         for events, n in ((0, 20), (0, 19), (1, 1))
     ]
     assert kinds == ["good", "", "bad"]
+    assert count_headline("missed", 0, 0, more="", trials=0).value == "none occurred"
     assert count_headline("missed", None, 30, more="", trials=30).value == "not known"
 
 
