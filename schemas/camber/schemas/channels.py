@@ -75,6 +75,7 @@ _NAMES = {
     "antenna_height/height": "antenna_height",
     "fleet/map/root": "map_root",
     "fleet/map/blob": "map_blob",
+    "fleet/map/changes": "map_changes",
     "replay/tick/{service}": "tick",
     "replay/done/{service}": "done",
 }
@@ -177,6 +178,9 @@ CHANNELS: tuple[Channel, ...] = (
     ),
     _fetch(
         "fleet/map/blob", "map_server > map_update", (None, 5.0), (fleet.MapBlobRequest, fleet.MapBlobReply)
+    ),
+    _query(
+        "fleet/map/changes", "tools > map_update", (None, 2.0), (fleet.MapChangesRequest, fleet.MapChanges)
     ),
     _query(
         "{service}/health", f"tools > {_ALL} {SENSORS}", (None, 1.0), (health.HealthRequest, health.Health)

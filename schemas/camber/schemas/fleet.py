@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -10,6 +10,7 @@ from camber.schemas.base import (
     ArrayOf,
     Count,
     Covariance3,
+    Float32,
     Float64,
     Height,
     Int32,
@@ -17,6 +18,7 @@ from camber.schemas.base import (
     Latitude,
     Longitude,
     Message,
+    Model,
     Name,
     Sha256,
     Sigma,
@@ -26,6 +28,8 @@ from camber.schemas.base import (
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
 
+HeldReason = Literal["other", "vehicles_not_known", "disagreed", "too_large", "regional_shift", "step"]
+HELD_REASONS: tuple[HeldReason, ...] = get_args(HeldReason)
 EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
 
@@ -139,3 +143,70 @@ class MapBlobReply(Message):
     payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
     more_bytes: Annotated[Int32, ArrayOf("<i4", ("more",))]
     more_payload: Annotated[UInt8, ArrayOf("|u1", ("bytes of more",))]
+
+
+class HeldChanges(Model):
+    """Changes of road surfaces that wait for review, one row each; heights are from the reference of the map.
+
+    `reason` is the place of a term in `HELD_REASONS`, the place that of the surface's middle.
+    """
+
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
+    latitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
+    longitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
+    in_map_m: Annotated[Float32, ArrayOf("<f4", ("changes",))] = Field(
+        description="the correction in the map"
+    )
+    offset_m: Annotated[Float32, ArrayOf("<f4", ("changes",))] = Field(description="by the votes")
+    standard_error_m: Annotated[Float32, ArrayOf("<f4", ("changes",), ge=0.0)]
+    agreement: Annotated[Float32, ArrayOf("<f4", ("changes",), ge=0.0, le=1.0)] = Field(
+        description="share of the vehicles that agree"
+    )
+    vehicles: Annotated[Int32, ArrayOf("<i4", ("changes",), ge=0)]
+    votes: Annotated[Int32, ArrayOf("<i4", ("changes",), ge=0)]
+    days: Annotated[Int32, ArrayOf("<i4", ("changes",), ge=0)]
+    reason: Annotated[UInt8, ArrayOf("|u1", ("changes",), le=len(HELD_REASONS) - 1)]
+
+
+class PublishedChanges(Model):
+    """Surfaces whose height in the map is that of the fleet, one row each; `offset_m` is from the reference."""
+
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
+    latitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
+    longitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
+    offset_m: Annotated[Float32, ArrayOf("<f4", ("changes",))]
+    sigma_m: Annotated[Float32, ArrayOf("<f4", ("changes",), ge=0.0)]
+    vehicles: Annotated[Int32, ArrayOf("<i4", ("changes",), ge=0)]
+    since_map_version: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
+
+
+class RegionAlarms(Model):
+    """Regions most of whose surfaces moved alike, one row each: a base station, a datum or the survey, not the roads.
+
+    The place is the middle of the region's surfaces. `everywhere`: 1 where the region is the whole map.
+    """
+
+    everywhere: Annotated[UInt8, ArrayOf("|u1", ("alarms",), le=1)]
+    latitude_rad: Annotated[Float64, ArrayOf("<f8", ("alarms",))]
+    longitude_rad: Annotated[Float64, ArrayOf("<f8", ("alarms",))]
+    shift_m: Annotated[Float32, ArrayOf("<f4", ("alarms",))]
+    share: Annotated[Float32, ArrayOf("<f4", ("alarms",), ge=0.0, le=1.0)]
+    surfaces: Annotated[Int32, ArrayOf("<i4", ("alarms",), ge=0)]
+
+
+class MapChangesRequest(Message):
+    """Which changes of the map are held, published and alarmed?"""
+
+
+class MapChanges(Message):
+    """Changes of the map after the last fusion; `unknown` before the first one, and of a worker that fuses nothing."""
+
+    status: Literal["known", "unknown"]
+    reason: Text = ""
+    map_version: Count | None = None
+    held: HeldChanges | None = None
+    published: PublishedChanges | None = None
+    alarms: RegionAlarms | None = None
+    left_out: Count = Field(
+        0, description="rows that the reply has no room for: the smallest held, the oldest published"
+    )

@@ -68,8 +68,9 @@ def main(argv: Sequence[str]) -> int:
         return 2
     address = _address(args, listening, token)
     state.source.start()
-    if state.health is not None:
-        state.health.start()
+    watches = [watch for watch in (state.health, state.changes) if watch is not None]
+    for watch in watches:
+        watch.start()
     gc.freeze()  # what is loaded stays
     print(f"{_PROG}: {state.title}: {address}", flush=True)
     if args.open:
@@ -78,8 +79,8 @@ def main(argv: Sequence[str]) -> int:
         _serve(args, state, listening, token)
     finally:
         state.source.end()
-        if state.health is not None:
-            state.health.end()
+        for watch in watches:
+            watch.end()
     return 0
 
 
@@ -111,7 +112,7 @@ def _bus(args: argparse.Namespace) -> LiveState:
 
 def _fleet(args: argparse.Namespace) -> LiveState:
     from camber.live.fleet import FleetSource
-    from camber.live.health_watch import HealthWatch
+    from camber.live.health_watch import HealthWatch, MapChangesWatch
 
     settings = bus_settings(args, prog=_PROG, vehicle=FLEET)
     return LiveState(
@@ -120,6 +121,7 @@ def _fleet(args: argparse.Namespace) -> LiveState:
         source=FleetSource(settings),
         tiles=None if args.map is None else _tiles(args.map),
         health=HealthWatch(settings, [name for name in SERVICES if name not in VEHICLE_SERVICES]),
+        changes=MapChangesWatch(settings),
         raster=args.raster,
     )
 

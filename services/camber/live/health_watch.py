@@ -1,34 +1,45 @@
-"""Health of a vehicle's services, asked again and again in a thread of its own."""
+"""What services answer, asked again and again in a thread of its own: their health, and changes of the map."""
 
 from __future__ import annotations
 
+import math
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
+from camber.runtime.bus import QueryFailed
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryClient
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import FEEDER, VEHICLE_SERVICES
+from camber.schemas.fleet import (
+    HELD_REASONS,
+    HeldChanges,
+    MapChanges,
+    MapChangesRequest,
+    PublishedChanges,
+    RegionAlarms,
+)
 from camber.schemas.health import HealthRequest
 from camber.tools.operate.status_view import Answers, view_of
 
 _EVERY_S = 1.0  # chosen: as often as a person looks
 _TIMEOUT_S = 1.5  # chosen: longer than the second within which a work loop answers (table of channels)
+_CHANGES_EVERY_S = 5.0  # chosen: the fusion decides once a minute
 _NO_SERVICES = frozenset({FEEDER, "vehicle", "player"})  # they have a liveliness token but no work loop
 
 
-class HealthWatch:
-    """The newest view of all services, as `camber status` makes it; `usual` are those that are expected."""
+class QueryWatch(ABC):
+    """Asks from `start` to `end`, and tries again where there is no bus. `view`: the newest answer, None without."""
 
-    def __init__(self, settings: ServiceSettings, usual: Sequence[str] = VEHICLE_SERVICES) -> None:
+    def __init__(self, name: str, settings: ServiceSettings) -> None:
         self.number = 0
+        """Grows when something else is answered."""
         self.view: dict[str, Any] | None = None
-        """As JSON: services, channels, notes; None before the first answer."""
-        self.vehicles: list[str] = []
-        self._settings, self._usual = settings, tuple(usual)
+        self._settings = settings
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="health", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
         """Begin to ask."""
@@ -48,6 +59,26 @@ class HealthWatch:
                 self._show(None)
                 self._ended.wait(_EVERY_S)
 
+    @abstractmethod
+    def _ask(self, client: QueryClient) -> None: ...
+
+    def _show(self, view: dict[str, Any] | None) -> None:
+        if view != self.view:
+            self.view = view
+            self.number += 1
+
+
+class HealthWatch(QueryWatch):
+    """The newest view of all services, as `camber status` makes it; `usual` are those that are expected.
+
+    As JSON: services, channels, notes.
+    """
+
+    def __init__(self, settings: ServiceSettings, usual: Sequence[str] = VEHICLE_SERVICES) -> None:
+        super().__init__("health", settings)
+        self.vehicles: list[str] = []
+        self._usual = tuple(usual)
+
     def _ask(self, client: QueryClient) -> None:
         vehicle = self._settings.vehicle
         before: Answers = {}
@@ -62,6 +93,46 @@ class HealthWatch:
             before = answers
             self._ended.wait(_EVERY_S)
 
-    def _show(self, view: dict[str, Any] | None) -> None:
-        self.view = view
-        self.number += 1
+
+class MapChangesWatch(QueryWatch):
+    """Changes of the map that `map_update` holds, has published and alarms, of all its workers together.
+
+    As JSON: `problem`, and lists of `held`, `published` and `alarms`, with places in degrees.
+    """
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        super().__init__("changes", settings)
+
+    def _ask(self, client: QueryClient) -> None:
+        while not self._ended.is_set():
+            request = MapChangesRequest(time_ns=SystemClock().now_ns())
+            (replies,) = client.ask("map_changes", request, "fleet", ["map_update"]).values()
+            self._show(changes_as_json(replies))
+            self._ended.wait(_CHANGES_EVERY_S)
+
+
+def changes_as_json(replies: Sequence[MapChanges | QueryFailed]) -> dict[str, Any]:
+    """What all workers answered, for the page."""
+    known = [reply for reply in replies if isinstance(reply, MapChanges) and reply.status == "known"]
+    problem = "" if known else "; ".join(r.reason if isinstance(r, MapChanges) else str(r) for r in replies)
+    return {
+        "problem": problem,
+        "left_out": sum(reply.left_out for reply in known),
+        "held": [
+            row | {"reason": HELD_REASONS[row["reason"]]} for reply in known for row in _rows_of(reply.held)
+        ],
+        "published": [row for reply in known for row in _rows_of(reply.published)],
+        "alarms": [row for reply in known for row in _rows_of(reply.alarms)],
+    }
+
+
+def _rows_of(columns: HeldChanges | PublishedChanges | RegionAlarms | None) -> list[dict[str, Any]]:
+    """One table's rows by column; places are `lat` and `lon` in degrees, ids are texts."""
+    if columns is None:
+        return []
+    values = {name: column.tolist() for name, column in columns}
+    values["lat"] = [math.degrees(value) for value in values.pop("latitude_rad")]
+    values["lon"] = [math.degrees(value) for value in values.pop("longitude_rad")]
+    if "surface_id" in values:
+        values["surface_id"] = [str(value) for value in values["surface_id"]]  # JSON has 53 bits
+    return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]

@@ -26,7 +26,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from camber.live.access import Guard
 from camber.live.fleet import FleetSource
-from camber.live.health_watch import HealthWatch
+from camber.live.health_watch import HealthWatch, MapChangesWatch
 from camber.live.history import Cursor, History, columns_of
 from camber.live.map_tiles import MapTiles
 from camber.live.rows import TERMS
@@ -56,6 +56,7 @@ class LiveState:
     tiles: MapTiles | None = None
     map_problem: str = ""
     health: HealthWatch | None = None
+    changes: MapChangesWatch | None = None
     raster: str | None = None
     notes: tuple[str, ...] = ()
     browsers: int = 0
@@ -107,6 +108,13 @@ class LiveState:
             return None, number
         number = self.source.number
         return json.dumps({"kind": "fleet", "vehicles": self.source.vehicles()}), number
+
+    def map_changes(self, number: int) -> tuple[str | None, int]:
+        """Changes of the map, as JSON, where they are others than those of this number; and the number now."""
+        if self.changes is None or self.changes.number == number:
+            return None, number
+        number = self.changes.number
+        return json.dumps({"kind": "changes", "changes": self.changes.view}), number
 
     def batch(self, cursor: Cursor) -> tuple[bytes | None, Cursor]:
         """As `History.batch`; browsers at the same place share one."""
@@ -208,7 +216,7 @@ async def _serve(state: LiveState, websocket: WebSocket) -> None:
 
 
 async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None]) -> None:
-    cursor, status, number = state.history.start(), "", -1
+    cursor, status, number, changes_number = state.history.start(), "", -1, 0
     while not ended.done():
         data, cursor = state.batch(cursor)
         if data is not None:
@@ -216,6 +224,9 @@ async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None
         fleet, number = state.fleet(number)
         if fleet is not None:
             await websocket.send_text(fleet)
+        changes, changes_number = state.map_changes(changes_number)
+        if changes is not None:
+            await websocket.send_text(changes)
         newest = state.status_text()
         if newest != status:
             status = newest

@@ -32,7 +32,7 @@ from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.base import EARLIEST_NS, Message
-from camber.schemas.fleet import UploadReceipt
+from camber.schemas.fleet import MapChanges, MapChangesRequest, UploadReceipt
 
 if TYPE_CHECKING:
     from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
@@ -86,10 +86,14 @@ class MapUpdateService(Service[MapUpdateSettings]):
             self._serving = ReleaseServer(_releases_folder(settings))
             self._start_fusion(settings.reference, self._store)
         self._announced_version = -1
+        self._changes: MapChanges | None = None
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
-        """Uploads one by one and in batches; the root and the blobs of releases."""
-        served = {} if self._serving is None else self._serving.answers(self.bus.now_ns)
+        """Uploads one by one and in batches; the root and the blobs of releases; changes of the map."""
+        served: dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]] = {}
+        if self._serving is not None:
+            served = self._serving.answers(self.bus.now_ns)
+            served["map_changes"] = lambda requests: [self._map_changes(request) for request in requests]
         if self.settings.role in ("store", "fuse"):
             return served
         return served | {
@@ -225,7 +229,14 @@ class MapUpdateService(Service[MapUpdateSettings]):
                 self.bus.count("not_fused.datum", result.other_datum)
             self.bus.wake()
         elif isinstance(result, FusionDecision):
+            self._changes = cycle.changes(result, now_ns)
             self._report(result, now_ns)
+
+    def _map_changes(self, request: MapChangesRequest) -> MapChanges:
+        """The changes after the last fusion."""
+        if self._changes is not None:
+            return self._changes
+        return MapChanges(time_ns=request.time_ns, status="unknown", reason="nothing has been fused yet")
 
     def _report(self, result: FusionDecision, now_ns: int) -> None:
         """Report decisions in health, and announce a release that is new or was not announced yet."""

@@ -11,6 +11,7 @@ from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import FusionStep
 from camber.runtime.uploads.received_upload import ReceivedUpload
+from camber.schemas.fleet import MapChangesRequest
 from support.contributions import NOW_NS, batch
 from support.contributions import upload as upload_of
 from support.fake_bus import FakeBus
@@ -147,6 +148,20 @@ def test_without_a_readable_reference_uploads_are_stored_and_fusion_starts_once_
         bus.time_ns += 60 * 10**9
         service.advance(bus.time_ns)
         assert service.healthy()
+
+
+def test_changes_of_the_map_are_answered_after_the_first_fusion_and_by_one_that_fuses(tmp_path, bus, service):
+    assert "map_changes" not in service.answers()
+    write(tmp_path / "survey", [surface(5)])
+    settings = MapUpdateSettings(state_dir=tmp_path / "other", reference=tmp_path / "survey")
+    with closing(MapUpdateService(settings, bus)) as fusing:
+        request = MapChangesRequest(time_ns=bus.time_ns)
+        (before,) = fusing.answers()["map_changes"]([request])
+        assert (before.status, before.reason) == ("unknown", "nothing has been fused yet")
+        bus.publish = lambda *_: b""
+        fusing.advance(bus.time_ns)
+        (after,) = fusing.answers()["map_changes"]([request])
+        assert (after.status, after.held.surface_id.tolist(), after.left_out) == ("known", [], 0)
 
 
 def test_an_invalid_voters_key_is_reported_and_uploads_are_stored(tmp_path, bus):

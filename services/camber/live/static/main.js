@@ -9,6 +9,7 @@ import "./panels.js";
 import "./stanford.js";
 import "./sky.js";
 import "./fleet.js";
+import "./changes.js";
 import { savePicture, saveTable } from "./exports.js";
 
 const EVERY_MS = 100; // as often as batches come
@@ -37,7 +38,7 @@ document.documentElement.dataset.theme = view.theme ?? (matchMedia("(prefers-col
 map.start(store, view);
 charts.start(store, view);
 find("bar").start(store, view, actions);
-for (const name of ["fleet", "now", "fix", "health", "notes", "stanford", "sky"]) find(name).start(store, view, map);
+for (const name of ["fleet", "now", "fix", "health", "notes", "stanford", "sky", "changes"]) find(name).start(store, view, map);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", showTheme);
 find("map").paint();
 

@@ -1,6 +1,7 @@
 // The map: roads of the release, the track by verdict, the newest fix beside the confirmed position, both to scale.
 
 import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
+import { CHANGE_LEGEND } from "./changes.js";
 import { colour, element, plain, remPx, VERDICT_COLOURS } from "./dom.js";
 import { drawLegend, drawScaleAndNorth, keyLines, rampLines, RAMPS } from "./map_marks.js";
 import { Overlay, stateAt } from "./overlay.js";
@@ -27,12 +28,12 @@ export class CamberMap extends HTMLElement {
     view.addEventListener("hover", () => this.mark());
     view.addEventListener("selection", () => this.mark());
     view.addEventListener("theme", () => this.paint());
-    store.addEventListener("fleet", () => this.refreshFleet());
+    for (const name of ["fleet", "changes"]) store.addEventListener(name, () => this.refreshFleet());
   }
 
   refreshFleet() {
     if (!this.ready) return;
-    if (!this.placed && this.store.fleet.some(vehicle => Number.isFinite(vehicle.lat))) { this.placed = true; this.fit(); }
+    if (!this.placed && [...this.store.fleet, ...changedPlaces(this.store)].some(({ lat }) => Number.isFinite(lat))) { this.placed = true; this.fit(); }
     const chosen = this.view.follow && this.store.fleet.find(vehicle => vehicle.vehicle === this.view.vehicle);
     if (chosen && Number.isFinite(chosen.lat)) this.map.jumpTo({ center: [chosen.lon, chosen.lat] });
     this.map.triggerRepaint();
@@ -78,7 +79,7 @@ export class CamberMap extends HTMLElement {
     // Tiles that cannot be read are named among the notes; the map goes on without them.
     map.on("error", event => { if (!/AJAXError|tile/i.test(event.error?.message ?? "")) this.problem = event.error?.message; });
     map.on("render", () => {
-      if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store.fleet, this.view.vehicle);
+      if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store, this.view.vehicle);
       else if (this.now) this.overlay.draw(map, this.now, this.marked());
     });
   }
@@ -186,7 +187,7 @@ export class CamberMap extends HTMLElement {
 
   fit() {
     const { lat, lon } = this.store.tables.verdict.arrays, bounds = new maplibregl.LngLatBounds();
-    for (const vehicle of this.store.fleet) if (Number.isFinite(vehicle.lat)) bounds.extend([vehicle.lon, vehicle.lat]);
+    for (const { lat, lon } of [...this.store.fleet, ...changedPlaces(this.store)]) if (Number.isFinite(lat)) bounds.extend([lon, lat]);
     const table = this.store.tables.verdict, step = Math.max(1, Math.floor(table.length / 5000));
     for (let k = 0; k < table.length; k += step) if (Number.isFinite(lat[k])) bounds.extend([lon[k], lat[k]]);
     if (!bounds.isEmpty()) this.map?.fitBounds(bounds, { padding: 60, maxZoom: 19, animate: false });
@@ -241,7 +242,7 @@ export class CamberMap extends HTMLElement {
   // Kind of mark, its colour and what it stands for.
   legend() {
     const { greeting, words } = this.store;
-    if (greeting?.mode === "fleet") return [["dot", "good", "position usable"], ["dot", "bad", "not usable"], ["dot", "unknown", "silent"], ["ring", "level", "protection level"]];
+    if (greeting?.mode === "fleet") return [["dot", "good", "position usable"], ["dot", "bad", "not usable"], ["dot", "unknown", "silent"], ["ring", "level", "protection level"], ...CHANGE_LEGEND];
     return [...(words.verdict ?? []).map(word => ["dot", VERDICT_COLOURS[word], plain(word)]),
       ["ring", "level", "protection level"], ["ring", "confirmed", "99 % ellipse"], ["ring", "pose", "prior pose, 99 %"]];
   }
@@ -275,5 +276,7 @@ function rampExpression(name) {
   const value = name === "day" ? ["max", 0, ["-", today, ["get", "day"]]] : ["get", name];
   return ["interpolate", ["linear"], value, ...RAMPS[name].stops.flat()];
 }
+
+const changedPlaces = ({ changes }) => changes ? [...changes.held, ...changes.published, ...changes.alarms] : [];
 
 customElements.define("camber-map", CamberMap);

@@ -1,5 +1,6 @@
 // What is true at one time, drawn to scale over the map: levels, ellipses, fix and position, the vehicle.
 
+import { drawChanges } from "./changes.js";
 import { colour, element, remPx, VERDICT_COLOURS } from "./dom.js";
 
 const EARTH_M = 6378137;
@@ -65,8 +66,9 @@ export class Overlay {
   }
 
   // Every vehicle with its name: red where its position may not be used, grey where nothing comes from it any more.
-  drawFleet(map, vehicles, selected) {
+  drawFleet(map, { fleet: vehicles, changes }, selected) {
     const c = this.begin(map);
+    drawChanges(this, changes);
     c.font = `${12 * this.unit}px system-ui, sans-serif`;
     for (const vehicle of vehicles) {
       if (!Number.isFinite(vehicle.lat)) continue;

@@ -99,7 +99,7 @@ export class ScanMatchView {
   constructor(host) {
     const { store, view } = host;
     Object.assign(this, { host, store, view, match: null, layer: null, reader: new SnapshotReader(store, view, "scan_match_points") });
-    this.button = element("button", { type: "button", title: "points of the last scan match, by their distance from the map (s)", onclick: () => this.toggle() }, "scan match");
+    this.button = element("button", { type: "button", class: "scan", title: "points of the last scan match, by their distance from the map (s)", onclick: () => this.toggle() }, "scan match");
     this.line = element("div", { class: "line" });
     view.addEventListener("view", () => this.refresh());
     this.showState();

@@ -71,6 +71,7 @@ export class Store extends EventTarget {
     this.greeting = null;
     this.status = null;
     this.fleet = [];
+    this.changes = null; // of the map, by the fleet
   }
 
   greet(greeting) {
@@ -140,6 +141,7 @@ export function connect(store) {
     const message = JSON.parse(data);
     if (message.kind === "greeting") { store.connected = true; store.greet(message); }
     else if (message.kind === "fleet") { store.fleet = message.vehicles; store.dispatchEvent(new Event("fleet")); }
+    else if (message.kind === "changes") { store.changes = message.changes; store.dispatchEvent(new Event("changes")); }
     else { store.status = message; store.dispatchEvent(new Event("status")); }
   };
   socket.onclose = () => {

@@ -27,10 +27,13 @@ class SurfaceNeighbourhood:
     """Columns (n,) sorted by `surface_id`.
 
     Neighbours of row i are rows `neighbour[neighbour_begins[i]:neighbour_begins[i + 1]]`; `block` is the street.
+    Latitude and longitude are those of a surface's middle.
     """
 
     surface_id: Integers
     link_id: Integers
+    latitude_rad: Floats
+    longitude_rad: Floats
     block: Integers
     region: Integers
     neighbour_begins: Integers
@@ -79,6 +82,8 @@ def build_neighbourhood(surfaces: RoadSurfaces, *, street_m: float, region_m: fl
     return SurfaceNeighbourhood(
         surface_id=surfaces.surface_id[order],
         link_id=surfaces.link_id[order],
+        latitude_rad=latitude,
+        longitude_rad=longitude,
         block=block.astype(np.int64),
         region=region.astype(np.int64),
         neighbour_begins=begins,

@@ -20,11 +20,13 @@ from camber.map_update.fusion.corrections import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
 from camber.map_update.fusion.votes import merge_votes
+from camber.map_update.release.map_changes import map_changes
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.release.review import ReviewFolder
 from camber.map_update.stores.store import FusionStep, ObservationPage, Store
 from camber.road_map.release_files import ReleaseFolder
 from camber.road_map.road_columns import rows_of_ids
+from camber.schemas.fleet import MapChanges
 from camber.schemas.road import ReleaseRoot
 
 _GLOBAL = frozenset({"WGS84", "ITRF2014", "ITRF2020"})
@@ -44,9 +46,10 @@ class IngestResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusionDecision:
-    """The decisions of one cycle, and the release in force after it."""
+    """The decisions of one cycle, the corrections after it, and the release in force."""
 
     decisions: Decisions
+    corrections: Corrections
     root: ReleaseRoot
     is_new: bool
 
@@ -115,7 +118,22 @@ class FusionCycle:
         decisions = self._review.apply(automatic, now_ns)
         current = self._builder.current()
         root = self._builder.build(corrections_after(before, decisions), time_ns=now_ns)
-        return FusionDecision(decisions=decisions, root=root, is_new=current is None or root != current.root)
+        return FusionDecision(
+            decisions=decisions,
+            corrections=self._builder.corrections(),
+            root=root,
+            is_new=current is None or root != current.root,
+        )
+
+    def changes(self, decided: FusionDecision, now_ns: int) -> MapChanges:
+        """The changes that a decision holds, publishes and alarms, with their places."""
+        return map_changes(
+            decided.decisions,
+            decided.corrections,
+            self._fusion.neighbourhood,
+            map_version=decided.root.map_version,
+            time_ns=now_ns,
+        )
 
     def _external_state(self) -> tuple[object, object]:
         """Return what others may change: the release in force (by a roll-back) and the reviewers' decisions."""

@@ -99,6 +99,17 @@ def test_a_changed_road_is_published_and_unchanged_roads_stay(tmp_path: Path, st
     assert set(result.decisions.of("publish")["surface_id"]) == set(CHANGED)
 
 
+def test_changes_for_viewers_are_those_that_were_published(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    cycle = fusion_cycle(tmp_path, store)
+    decided = all_steps(cycle, NOW_NS)
+    changes = cycle.changes(decided, NOW_NS)
+    assert changes.published is not None
+    assert sorted(changes.published.surface_id.tolist()) == list(CHANGED)
+    assert changes.published.offset_m == pytest.approx([0.08] * 4, abs=0.02)
+    assert changes.map_version == decided.root.map_version
+
+
 def test_the_first_release_is_the_reference(tmp_path: Path, store: Store) -> None:
     result = all_steps(fusion_cycle(tmp_path, store), NOW_NS)
     assert result.is_new

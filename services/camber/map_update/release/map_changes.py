@@ -1,0 +1,89 @@
+"""Changes of the map that are held, published and alarmed, with their places, as a message for viewers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.map_update.fusion.corrections import Corrections
+from camber.map_update.fusion.publication import REASONS, Decisions
+from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
+from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
+
+MOST_ROWS = 1500
+"""Of a kind. Chosen: 56 and 44 bytes a row stay within a reply of 256 kB, also with the most alarms."""
+_HELD_NUMBER = np.array([HELD_REASONS.index(r) if r in HELD_REASONS else 0 for r in REASONS], np.uint8)
+
+
+def map_changes(
+    decisions: Decisions,
+    corrections: Corrections,
+    neighbourhood: SurfaceNeighbourhood,
+    *,
+    map_version: int,
+    time_ns: int,
+) -> MapChanges:
+    """The held ones by size, the published ones newest first; what has no room is counted.
+
+    A correction of zero is no change: such a height was confirmed, or the change withdrawn.
+    """
+    held = decisions.of("hold")
+    change_m = np.abs(held["offset_m"] - held["previous_correction_m"])
+    held = held[np.argsort(-change_m, kind="stable")]
+    published = corrections[corrections["offset_m"] != 0.0]
+    published = published[np.argsort(-published["since_map_version"], kind="stable")]
+    parts = [rows[neighbourhood.rows_of(rows["surface_id"]) >= 0] for rows in (held, published)]
+    alarms = decisions.alarms
+    return MapChanges(
+        time_ns=time_ns,
+        status="known",
+        map_version=map_version,
+        held=_held(parts[0][:MOST_ROWS], neighbourhood),
+        published=_published(parts[1][:MOST_ROWS], neighbourhood),
+        alarms=_alarms(alarms[:MOST_ROWS], neighbourhood),
+        left_out=sum(max(len(rows) - MOST_ROWS, 0) for rows in (*parts, alarms)),
+    )
+
+
+def _held(rows: NDArray[np.void], neighbourhood: SurfaceNeighbourhood) -> HeldChanges:
+    at = neighbourhood.rows_of(rows["surface_id"])
+    return HeldChanges(
+        surface_id=rows["surface_id"].copy(),
+        latitude_rad=neighbourhood.latitude_rad[at],
+        longitude_rad=neighbourhood.longitude_rad[at],
+        in_map_m=rows["previous_correction_m"].astype(np.float32),
+        offset_m=rows["offset_m"].astype(np.float32),
+        standard_error_m=rows["standard_error_m"].astype(np.float32),
+        agreement=rows["agreement"].astype(np.float32),
+        vehicles=rows["vehicles"].astype(np.int32),
+        votes=rows["votes"].astype(np.int32),
+        days=rows["days"].astype(np.int32),
+        reason=_HELD_NUMBER[rows["reason"]],
+    )
+
+
+def _published(rows: Corrections, neighbourhood: SurfaceNeighbourhood) -> PublishedChanges:
+    at = neighbourhood.rows_of(rows["surface_id"])
+    return PublishedChanges(
+        surface_id=rows["surface_id"].copy(),
+        latitude_rad=neighbourhood.latitude_rad[at],
+        longitude_rad=neighbourhood.longitude_rad[at],
+        offset_m=rows["offset_m"].astype(np.float32),
+        sigma_m=rows["sigma_m"].astype(np.float32),
+        vehicles=rows["vehicles"].astype(np.int32),
+        since_map_version=rows["since_map_version"].copy(),
+    )
+
+
+def _alarms(rows: NDArray[np.void], neighbourhood: SurfaceNeighbourhood) -> RegionAlarms:
+    everywhere = rows["region"] < 0
+    region = neighbourhood.region
+    inside = [(region == number) | (number < 0) for number in rows["region"].tolist()]
+    return RegionAlarms(
+        everywhere=everywhere.astype(np.uint8),
+        latitude_rad=np.array([neighbourhood.latitude_rad[at].mean() for at in inside], np.float64),
+        longitude_rad=np.array([neighbourhood.longitude_rad[at].mean() for at in inside], np.float64),
+        shift_m=rows["shift_m"].astype(np.float32),
+        share=rows["share"].astype(np.float32),
+        surfaces=rows["surfaces"].astype(np.int32),
+    )
