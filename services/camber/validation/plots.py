@@ -27,6 +27,7 @@ INK, GREY, PALE = "#1c2430", "#5b6675", "#a9b1bc"
 _TRACK_IN, _STRIP_IN = 5.6, 1.3
 _SPACE_IN = 0.44  # between panels, with room for a title
 _TOP_IN, _BOTTOM_IN, _LEFT_IN, _RIGHT_IN = 0.64, 0.5, 0.74, 0.24
+_SCALE_SHARE = 0.2  # of a map's width: the longest bar of its scale; chosen: a quarter would meet the key
 _DPI = 150  # chosen: rasterized points stay sharp at double zoom
 _STYLE: dict[Any, Any] = {
     "axes.edgecolor": "#8a94a3",
@@ -98,6 +99,25 @@ def equal_limits(axes: Axes, points: Floats) -> None:
     (left, south), (right, north) = (0.5 * (low + high) - half).tolist(), (0.5 * (low + high) + half).tolist()
     axes.set_xlim(left, right)
     axes.set_ylim(south, north)
+
+
+def draw_scale_and_north(axes: Axes) -> None:
+    """A bar of a round length at the lower left and an arrow to the north at the upper right of a map in metres.
+
+    The axes' limits must be set.
+    """
+    west_m, east_m = axes.get_xlim()
+    most_m = _SCALE_SHARE * (east_m - west_m)
+    decade_m = 10.0 ** np.floor(np.log10(most_m))
+    length_m = max(step * decade_m for step in (1.0, 2.0, 5.0) if step * decade_m <= most_m)
+    share = length_m / (east_m - west_m)
+    box: dict[str, Any] = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 2.0}
+    axes.plot([0.03, 0.03 + share], [0.03, 0.03], color=INK, lw=3.0, transform=axes.transAxes, zorder=5)
+    text = f"{length_m / 1000.0:g} km" if length_m >= 1000.0 else f"{length_m:g} m"
+    axes.text(0.03, 0.042, text, color=INK, transform=axes.transAxes, va="bottom", bbox=box, zorder=5)
+    arrow = {"arrowstyle": "-|>", "color": INK, "mutation_scale": 16}
+    at, ends = "axes fraction", {"xy": (0.97, 0.98), "xytext": (0.97, 0.88)}
+    axes.annotate("N", **ends, xycoords=at, ha="center", color=INK, arrowprops=arrow, bbox=box, zorder=5)  # type: ignore[arg-type]
 
 
 def range_limits(values: Floats, least_range: float) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from camber.replay.short_drive import write_short_drive
 from camber.validation.plots import (
     draw_dots,
     draw_key,
+    draw_scale_and_north,
     equal_limits,
     plot_style,
     range_limits,
@@ -42,6 +43,20 @@ def test_all_points_are_inside_and_both_axes_have_one_scale() -> None:
     assert ((points > low) & (points < high)).all()
     box = axes.get_window_extent()
     assert (high - low)[0] / box.width == pytest.approx((high - low)[1] / box.height)
+
+
+@pytest.mark.parametrize(
+    ("width_m", "length_m", "text"), [(9.0, 1.0, "1 m"), (2600.0, 500.0, "500 m"), (13e3, 2e3, "2 km")]
+)
+def test_a_map_has_a_bar_of_a_round_length_and_the_north(width_m: float, length_m: float, text: str) -> None:
+    with plot_style():
+        _, axes, _ = track_and_strips("", 1)
+        axes.set(xlim=(100.0, 100.0 + width_m), ylim=(0.0, 1.0))
+        draw_scale_and_north(axes)
+    (bar,) = axes.lines
+    assert np.ptp(bar.get_xdata()) * width_m == pytest.approx(length_m)
+    assert [drawn.get_text() for drawn in axes.texts] == [text, "N"]
+    assert axes.get_xlim() == (100.0, 100.0 + width_m)
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), np.ones((1, 2)), np.array([[np.nan, 1.0]])])

@@ -55,6 +55,7 @@ def solution_figure(name: str, solved: SolvedDrive, geodetic: Floats, least_rati
     with plots.plot_style():
         figure, track, (heights, counts, ratios) = plots.track_and_strips(name, 3)
         plots.equal_limits(track, east_north_m[leading])
+        plots.draw_scale_and_north(track)
         track.set_title("north over east of the first position [m]")
         number = {key: int((quality == key).sum()) for key in ("none", *_COLOURS)}
         plots.draw_key(track, {f"{n:,} {key}": _COLOURS.get(key, "none") for key, n in number.items()})

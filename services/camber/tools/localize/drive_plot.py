@@ -58,6 +58,7 @@ def drive_figure(
     with plots.plot_style():
         figure, track, strips = plots.track_and_strips(name, 4)
         plots.equal_limits(track, position_m[known])
+        plots.draw_scale_and_north(track)
         enlarged = "" if scale == 1.0 else f", drawn {scale:g} times as large"
         track.set_title(f"north over east of the first position [m]; 99 % ellipses{enlarged}")
         plots.draw_key(

@@ -53,6 +53,7 @@ def match_figure(name: str, view: MatchView, *, start_ns: int) -> Figure:
         above.set_title("from above: north over east of the map block's centre [m]")
         plots.draw_key(above, {_outcome(view): _STATUS[view.match.status]})
         plots.equal_limits(above, position_m + _EXTENT_M * np.array([(-1.0, -1.0), (1.0, 1.0)]))
+        plots.draw_scale_and_north(above)
         _draw_points(above, view.map_m[:, 0], view.map_m[:, 1], _MAP)
         _draw_residuals(above, view, (view.points_m[:, 0], view.points_m[:, 1]), view.layer >= 0)
         arrow = {"arrowstyle": "-|>", "color": plots.INK, "mutation_scale": 20}

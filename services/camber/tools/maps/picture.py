@@ -26,7 +26,7 @@ from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
 from camber.tools.options.parsers import add_with_default, tool_parser
-from camber.validation.plots import draw_lines, plot_style, png_bytes
+from camber.validation.plots import draw_lines, draw_scale_and_north, plot_style, png_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +36,7 @@ _PROG = "camber map picture"
 _LINK, _EDGE = "#cd3c50", "#282c34"
 _SCALE = ("#3042a0", "#268caa", "#5ab96e", "#ebd750")
 _DPI = 100.0  # chosen: lines of a pixel or two at the usual size
+_LEAST_PIXELS = 400  # chosen: in a smaller picture scale, north and legend would hide the map
 _MARGIN_M = 5.0  # around the outermost surfaces; chosen: about a lane and a half
 
 
@@ -71,6 +72,9 @@ def picture(release: Release, name: str, tile: Tile | None, pixels: int) -> tupl
         draw_clouds(axes, release, frame)
         drawn, lowest_m, highest_m = _draw_surfaces(axes, surfaces, frame)
         draw_lines(axes, link_lines(release, frame, axes), _LINK, 0.8, antialiased=False)
+        if pixels >= _LEAST_PIXELS:
+            draw_scale_and_north(axes)
+            _draw_legend(axes, lowest_m, highest_m, surfaces=drawn)
         png = png_bytes(figure, _DPI)
     heights = f", heights {lowest_m:.1f} to {highest_m:.1f} m" if drawn else ""
     return png, f"{high_m[0] - low_m[0]:.0f} × {high_m[1] - low_m[1]:.0f} m, {drawn} surfaces{heights}"
@@ -103,6 +107,29 @@ def _new_figure(low_m: Floats, high_m: Floats, pixels: int) -> tuple[Figure, Axe
     axes.axis("off")
     axes.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
     return figure, axes
+
+
+def _draw_legend(axes: Axes, lowest_m: float, highest_m: float, *, surfaces: int) -> None:
+    """What lines and colours are, at the lower right."""
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.lines import Line2D
+
+    lines = {"link": (_LINK, 0.8), "edge of a higher level": (_EDGE, 1.0)}
+    marks = [Line2D([], [], color=colour, lw=width) for colour, width in lines.values()]
+    axes.legend(
+        marks, list(lines), loc="lower right", frameon=True, framealpha=0.8, bbox_to_anchor=(1.0, 0.1)
+    )
+    if not surfaces:
+        return
+    bar = axes.inset_axes((0.72, 0.025, 0.26, 0.02))
+    bar.imshow(
+        np.linspace(0.0, 1.0, 256)[None],
+        aspect="auto",
+        cmap=LinearSegmentedColormap.from_list("height", _SCALE),
+        extent=(0.0, 1.0, 0.0, 1.0),
+    )
+    bar.set(xticks=[], yticks=[])
+    bar.set_title(f"height {lowest_m:.1f} to {highest_m:.1f} m", backgroundcolor="white")
 
 
 def _draw_surfaces(axes: Axes, surfaces: RoadSurfaces, frame: LocalFrame) -> tuple[int, float, float]:

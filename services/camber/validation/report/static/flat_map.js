@@ -54,7 +54,8 @@ export class FlatMap extends HTMLElement {
 
   listen() {
     const { view, canvas } = this;
-    for (const name of ["view", "hover", "selection", "theme"]) view.addEventListener(name, () => this.draw());
+    for (const name of ["view", "theme"]) view.addEventListener(name, () => this.draw());
+    for (const name of ["hover", "selection"]) view.addEventListener(name, () => this.draw(false));
     canvas.addEventListener("wheel", event => { if (!event.ctrlKey && !event.metaKey) return; event.preventDefault(); this.zoom(Math.exp(-event.deltaY * .002), event.offsetX, event.offsetY); }, { passive: false });
     canvas.addEventListener("dblclick", () => this.fit(-Infinity, Infinity));
     canvas.addEventListener("pointerdown", event => { canvas.setPointerCapture(event.pointerId); this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]); this.moved = 0; });
@@ -120,8 +121,16 @@ export class FlatMap extends HTMLElement {
     return best;
   }
 
-  draw() {
-    this.frame ??= requestAnimationFrame(() => { this.frame = null; if (this.placed) this.paint(); });
+  // In the next frame; a cursor that moves draws the marks only.
+  draw(whole = true) {
+    this.whole ||= whole;
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      if (!this.placed) return;
+      if (this.whole) this.paint();
+      this.whole = false;
+      this.paintMarks();
+    });
   }
 
   paint() {
@@ -142,7 +151,6 @@ export class FlatMap extends HTMLElement {
     this.paintDots(c);
     c.setTransform(1, 0, 0, 1, 0, 0);
     drawScaleAndNorth(c, canvas, { factor, metresPerPixel: this.metresPerUnit / scale });
-    this.paintMarks();
   }
 
   // Verdicts outside the time shown are pale; erroneous ones are drawn last.
