@@ -32,6 +32,7 @@ export class CamberSky extends HTMLElement {
     view.addEventListener("view", () => this.refresh());
     view.addEventListener("slow", () => this.refresh());
     view.addEventListener("theme", () => this.draw());
+    addEventListener("resize", () => this.draw());
     this.draw();
   }
 
