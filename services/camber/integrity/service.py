@@ -236,7 +236,7 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _report(self) -> None:
         for named in self._judge.learning.news():
-            self.bus.issue(ISSUE_CODES[named.cause], named.text)
+            self.bus.issue(ISSUE_CODES[named.reported], named.text)
         for code, text in self._uploader.problems() if self._uploader is not None else ():
             self.bus.issue(code, text)
 

@@ -27,7 +27,6 @@ class FixTrack:
         self._antenna_z_m = antenna_z_m
         self._offsets = FixTrackOffsets(model)
         self._plane: LocalPlane | None = None
-        self._base: tuple[str | None, ...] = ()
         self.offset: FixesOffset | None = None
         """The newest estimate; None where heights do not determine one."""
 
@@ -43,15 +42,16 @@ class FixTrack:
         slopes = road.slope_east, road.slope_north
         self._offsets.add_road(RibbonPlane(*place_m, road.elevation_m, road.sigma_m or 0.0, *slopes))
 
+    def forget_fixes(self) -> None:
+        """Begin anew: the next fixes are of other integers or of another base, and are off by another vector."""
+        self.offset = None
+        self._offsets.forget_fixes(stepped=True)
+
     def on_fix(self, fix: Fix, track: RelativeTrack, road: Road) -> None:
         """Take a fix; `road` is the newest one below the pose."""
         place, same_datum = track.at(fix.time_ns), road.datum in (None, fix.datum)
         if self._plane is None or place is None or road.status != "known" or not same_datum:
             return
-        base = fix.origin, fix.datum, fix.base_station
-        if base != self._base:
-            self._base = base
-            self._restart(self._plane)
         east_m, north_m = self._plane.east_north(fix.latitude_rad, fix.longitude_rad)
         height = TrackHeight(
             time_s=1e-9 * fix.time_ns,

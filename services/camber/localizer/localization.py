@@ -28,6 +28,7 @@ from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_queries import Diagnostics, MapQueries
 from camber.localizer.matching.scan_matcher import ScanMatcher, ScanMatchOptions
+from camber.localizer.relief.fix_step_detection import FixStepDetection
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief_localization import ReliefLocalization
 from camber.localizer.road.road_below_antenna import RoadBelowAntenna, attitude_on_road
@@ -85,6 +86,7 @@ class Localization:
         self._filter.use_sensors_of(self.independent.position.filter)
         self._relief: ReliefLocalization | None = None
         self._fix_track: FixTrack | None = None
+        self._fix_steps = FixStepDetection(self._lever_m[:2])
         if options.relief is not None:
             self._relief = ReliefLocalization(
                 options.relief,
@@ -130,10 +132,7 @@ class Localization:
         """Use an unconfirmed fix to start, where the filter accepts one, and its height for the relief."""
         if fix.quality != "fixed":
             return
-        if self._relief is not None:
-            self._relief.on_fix(fix, self._filter)
-        if self._fix_track is not None:
-            self._fix_track.on_fix(fix, self._filter.track, self._road.last)
+        self._use_height(fix)
         if not self._filter.accepts_fixes:
             self._start.reset()
             return
@@ -144,6 +143,19 @@ class Localization:
         if pose is not None and self._filter.start(pose):
             self._on_jump()
             self._diagnostics.count("started_from_fixes")
+
+    def _use_height(self, fix: Fix) -> None:
+        """Use the height of a fix for the relief, and for the track of the fixes."""
+        if self._relief is None or self._fix_track is None:
+            return
+        track, road = self._filter.track, self._road.last
+        placed = self._filter.prediction_at(fix.time_ns)
+        if self._fix_steps.is_step(fix, track.at(fix.time_ns), placed, road):
+            self._diagnostics.count("relief.fix_steps")
+            self._relief.forget_offset()
+            self._fix_track.forget_fixes()
+        self._relief.on_fix(fix, self._filter)
+        self._fix_track.on_fix(fix, track, road)
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Anchor the pose to a confirmed position."""

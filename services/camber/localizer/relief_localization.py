@@ -73,6 +73,12 @@ class ReliefLocalization:
         slopes = road.slope_east, road.slope_north
         self._start.add_road(RibbonPlane(*antenna_m, road.elevation_m, road.sigma_m or 0.0, *slopes))
 
+    def forget_offset(self) -> None:
+        """Forget what heights have in common: the next fixes are of other integers or of another base."""
+        self._states.reopen()
+        self._start.forget_heights(stepped=True)
+        self._rejections = 0
+
     def on_fix(self, fix: Fix, pose: PoseFilter) -> None:
         """Use the height of a fix; `pose` begins the search for a start."""
         if fix.quality != "fixed" or fix.covariance_enu_m2 is None:

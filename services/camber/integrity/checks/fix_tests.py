@@ -24,6 +24,7 @@ from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
 from camber.integrity.learning.height_residual import base_of, key_of
+from camber.integrity.learning.offset_causes import Diagnosis
 from camber.integrity.pose_provenance import is_provisional, rests_on_fixes
 from camber.integrity.re_estimation.requests import limits_after
 from camber.integrity.rules import Rules
@@ -73,18 +74,21 @@ class FixTests:
     @property
     def common_cause(self) -> Cause:
         """The cause of a lasting offset that is common to all fixes."""
-        return self._state.learning.diagnosis(None).cause
+        return self._state.learning.diagnosis(None).reported
 
     @property
     def cause_here(self) -> Cause:
         """The cause of a lasting offset on the road under the fix."""
-        surface_id = self.road.surface_id if self.road is not None else None
-        return self._state.learning.diagnosis(surface_id).cause
+        return self._diagnosis_here.reported
 
     @property
     def has_common_offset(self) -> bool:
         """Are all fixes off by one vector, of the base or the datum, or one that grows, and this one with them?"""
-        return self.cause_here in ("base", "drift") and not self.is_back_from_offset
+        return self._diagnosis_here.cause in ("base", "drift") and not self.is_back_from_offset
+
+    @property
+    def _diagnosis_here(self) -> Diagnosis:
+        return self._state.learning.diagnosis(self.road.surface_id if self.road is not None else None)
 
     @property
     def is_back_from_offset(self) -> bool:

@@ -34,6 +34,9 @@ class CauseRules:
     A common height beyond `antenna_limit_m` is no antenna's: deflated tyres, load and suspension make less than 0.3 m,
     and another mast on the same vehicle stands on a roof whose height is the same. Where it is chosen too small, an
     antenna is called a base; neither is learnt beyond the cap of 0.3 m.
+
+    `wrong_integers_s`: a receiver of which 25 % of 8,365 fixes were wrong had episodes of up to two minutes. With
+    lengths of even probability in their logarithm from 1 to 120 s, 4 % are longer than this.
     """
 
     cell_m: float = 20.0
@@ -54,6 +57,7 @@ class CauseRules:
     again_s: float = 60.0
     link_cells: int = 2
     antenna_limit_m: float = 1.0
+    wrong_integers_s: float = 100.0
     independent: IndependentOffsetRules = field(default_factory=IndependentOffsetRules)
     fix_track: TrackFaultRules = field(default_factory=TrackFaultRules)
     map_errors: MapErrorModel = MAP_ERRORS

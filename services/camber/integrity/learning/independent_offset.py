@@ -50,10 +50,11 @@ class IndependentOffsetRules:
     """When a difference from the independent position is a fault.
 
     `least_chi2` has two degrees of freedom: by chance exp(−T / 2) = 2e-8, for each of 200 templates. A vector counts
-    after `least_s`, longer than a wrong fix lasts whose integers hold, or after `least_far_s` beyond `far_m`, where no
-    wrong integers reach; a growing one after `least_drift_s`, from `least_drift_m`, where one wrong fix is no slope.
-    `margin` is the difference in T that distinguishes the two: 3 σ. `coherent` is the share of the samples that must
-    lie within half of what is named, or within two σ of it; a drift counts too where errors explain the rest.
+    after `least_s`, longer than a wrong fix lasts whose integers hold, or after `least_far_s` beyond `far_m`: few wrong
+    integers reach there, and until when they may is `CauseRules.wrong_integers_s`. A growing one counts after
+    `least_drift_s`, from `least_drift_m`, where one wrong fix is no slope. `margin` is the difference in T that
+    distinguishes the two: 3 σ. `coherent` is the share of the samples that must lie within half of what is named, or
+    within two σ of it; a drift counts too where errors explain the rest.
     """
 
     least_chi2: float = 36.0

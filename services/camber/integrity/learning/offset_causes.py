@@ -14,8 +14,9 @@ differs by the same vector, something else is wrong.
 - **ambiguous**: it lasts, but is one of several: on too few links antenna or road; without an independent pose
   antenna or base. What changed at the onset decides: another base's key, another antenna's.
 
-A base that is wrong in height alone looks like an antenna, unless its key changed; a wrong fix whose integers hold for
-minutes looks like a wrong base as long as it holds.
+A base that is wrong in height alone looks like an antenna, unless its key changed. A wrong fix whose integers hold
+looks like a wrong base: until a vector has lasted longer than wrong integers do, it is reported as *ambiguous*, though
+fixes that are off by it are judged as those of a wrong base from the first.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ class Diagnosis:
     """A cause with its onset, its vector as far as it is known, and for a road its surface.
 
     `after_right`: as many stretches before its onset were seen as a cause needs, and did not differ so.
+    `may_be_integers`: it has not lasted longer than wrong integers do, which explain it as well as a wrong base.
     """
 
     cause: Cause = "none"
@@ -66,6 +68,12 @@ class Diagnosis:
     surface_id: int | None = None
     text: str = ""
     after_right: bool = False
+    may_be_integers: bool = False
+
+    @property
+    def reported(self) -> Cause:
+        """The cause as far as it is known."""
+        return "ambiguous" if self.may_be_integers else self.cause
 
 
 NO_OFFSET = Diagnosis()
@@ -116,7 +124,7 @@ class OffsetCauses:
         if cell is not None:
             self._add(cell, correction_m)
         if sampled or cell is not None:
-            self._name(self._current_cause())
+            self._name(self._current_cause(), residual.time_ns)
 
     def _add(self, cell: ResidualCell, correction_m: float) -> None:
         if cell.up_m is not None and cell.key.map_version != self._map_version:
@@ -133,12 +141,14 @@ class OffsetCauses:
         self._run, self._whole, self._suspects = [], False, {}
         self.roads = {key: road for key, road in self.roads.items() if road.map_version == version}
 
-    def _name(self, result: Diagnosis) -> None:
-        if result.cause == self.common.cause:
+    def _name(self, result: Diagnosis, now_ns: int) -> None:
+        before = self.common
+        if result.cause == before.cause:
             # It began when it was first seen to begin, and after what, also when that has left the memory.
-            self.common = replace(result, onset_ns=self.common.onset_ns, after_right=self.common.after_right)
-            return
-        if result.cause != "none":
+            result = replace(result, onset_ns=before.onset_ns, after_right=before.after_right)
+        if _may_be_integers(result, now_ns, self.rules):
+            result = replace(result, may_be_integers=True, text=f"{result.text}, or wrong integers")
+        if result.cause != "none" and (result.cause, result.reported) != (before.cause, before.reported):
             self._news.append(result)
         self.common = result
 
@@ -249,6 +259,13 @@ def _cause_of(
     if offset.east_north_m is None:
         return _with_detail(diagnosis, "antenna or base: no pose that owes nothing to fixes")
     return _with_detail(replace(diagnosis, cause="antenna"), f"alike on {links} links")
+
+
+def _may_be_integers(diagnosis: Diagnosis, now_ns: int, rules: CauseRules) -> bool:
+    """Whether a vector, not the key of another base, names a base, and has not lasted longer than wrong integers do."""
+    if diagnosis.cause != "base" or diagnosis.east_north_m is None or diagnosis.onset_ns is None:
+        return False
+    return now_ns - diagnosis.onset_ns < rules.wrong_integers_s * 1e9
 
 
 def _least_s(offset: CellOffset, rules: CauseRules) -> float:

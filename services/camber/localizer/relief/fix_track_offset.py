@@ -70,11 +70,17 @@ class FixTrackOffsets:
         self._heights: deque[TrackHeight] = deque()
         self._planes: deque[RibbonPlane] = deque(maxlen=round(2.0 * _WINDOW_M / _PLANES_M))
         self._tried_at_m = -np.inf
+        self._stepped = False
 
     def forget(self) -> None:
-        """Forget what was collected: the fixes are those of another base, or the plane is another one."""
-        self._heights.clear()
+        """Forget what was collected: the plane is another one."""
+        self.forget_fixes()
         self._planes.clear()
+
+    def forget_fixes(self, *, stepped: bool = False) -> None:
+        """Forget the fixes: the next ones are off by another vector where they have stepped."""
+        self._stepped |= stepped
+        self._heights.clear()
 
     def add_road(self, plane: RibbonPlane) -> None:
         """Add the road below the pose's antenna, each few metres."""
@@ -145,6 +151,7 @@ class FixTrackOffsets:
             modes=since[:, None, None] * np.eye(2) if growing else None,
             max_prior_share=_MAX_PRIOR_SHARE,
             starts=starts,
+            stepped=self._stepped,
         )
         if result is None or not result.unique or result.prior_share > _MAX_PRIOR_SHARE:
             return None

@@ -1,4 +1,4 @@
-"""States of the errors of fixes' heights, beside a pose in one filter: common offset, fix, map.
+"""States of the errors of fixes' heights, beside a pose in one filter: common offset and its rate, fix, map.
 
 The map's errors have unit variance here (`MapErrorModel`), times the map's σ in an observation. With them as states,
 repeated heights of one stretch give what they give once (SITAN with coloured noise: Hostetler and Andreas 1983, by
@@ -17,9 +17,10 @@ from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.road_map.map_error_model import STATES
 
 OFFSET: Final = 0  # index, from the first extra state
-FIX: Final = 1  # index
-MAP: Final = 2  # index of the first of the map's
-HEIGHT_STATES: Final = 2 + STATES
+RATE: Final = 1  # index, of the offset
+FIX: Final = 2  # index
+MAP: Final = 3  # index of the first of the map's
+HEIGHT_STATES: Final = 3 + STATES
 
 
 class HeightStates:
@@ -28,28 +29,39 @@ class HeightStates:
     def __init__(self, state: FilterState, model: HeightErrorModel) -> None:
         self._state, self._model = state, model
         self._first = state.extra.start
+        self._stepped = False
         self.reset()
 
     def reset(self) -> None:
         """Forget all of them: the position is another one."""
-        self.reopen()
+        self._reopen()
         stationary = self._model.map_errors.stationary_covariance
         for index in range(STATES):
             self._state.x[self._first + MAP + index] = 0.0
             self._state.set_independent(self._first + MAP + index, float(stationary[index, index]))
 
     def reopen(self) -> None:
-        """Forget the fixes' part: their heights have another offset, by a wrong fix or another base station."""
+        """Forget the fixes' part: they have stepped, and may have wrong integers from now on."""
+        self._stepped = True
+        self._reopen()
+
+    def _reopen(self) -> None:
         model = self._model
-        for index, sigma_m in ((OFFSET, model.offset_sigma_m), (FIX, model.fix_common_sigma_m)):
+        sigmas = {
+            OFFSET: model.offset_sigma_m,
+            RATE: model.stepped_rate_m_s if self._stepped else 0.0,
+            FIX: model.fix_common_sigma_m,
+        }
+        for index, sigma in sigmas.items():
             self._state.x[self._first + index] = 0.0
-            self._state.set_independent(self._first + index, sigma_m**2)
+            self._state.set_independent(self._first + index, sigma**2)
 
     def age(self, path_m: float, time_s: float) -> None:
         """Advance the errors over a path and a time."""
         model, x, p, extra = self._model, self._state.x, self._state.p, self._state.extra
         keep = math.exp(-time_s / model.fix_common_time_s)
         transition = np.eye(HEIGHT_STATES)
+        transition[OFFSET, RATE] = time_s
         transition[FIX, FIX] = keep
         transition[MAP:, MAP:] = model.map_errors.transition(path_m)
         noise = np.zeros((HEIGHT_STATES, HEIGHT_STATES))
@@ -63,4 +75,4 @@ class HeightStates:
 
     def row(self, map_sigma_m: float) -> tuple[float, ...]:
         """Return the derivatives (`HEIGHT_STATES`,) of a height by the states."""
-        return 1.0, 1.0, *(map_sigma_m * self._model.map_errors.observation)
+        return 1.0, 0.0, 1.0, *(map_sigma_m * self._model.map_errors.observation)

@@ -63,11 +63,17 @@ class ReliefStart:
         self._heights: deque[_Height] = deque()
         self._planes: deque[RibbonPlane] = deque()
         self._tried_at_m = -math.inf
+        self._stepped = False
 
     def forget(self) -> None:
         """Forget what was collected: the plane is another one, or a position has started."""
-        self._heights.clear()
+        self.forget_heights()
         self._planes.clear()
+
+    def forget_heights(self, *, stepped: bool = False) -> None:
+        """Forget the heights: the next ones have another offset, by a step of the fixes or by a gap."""
+        self._stepped |= stepped
+        self._heights.clear()
         self._tried_at_m = -math.inf
 
     def forget_before(self, begin_ns: int | None) -> None:
@@ -122,6 +128,7 @@ class ReliefStart:
             self._model,
             prior=self._prior,
             modes=track_error_modes(window.east_m, window.north_m, window.time_s),
+            stepped=self._stepped,
             max_prior_share=MAX_PRIOR_SHARE,
         )
         if estimate is None or not estimate.unique or estimate.prior_share > MAX_PRIOR_SHARE:

@@ -78,15 +78,16 @@ def estimate_shift(
     modes: Floats | None = None,
     max_prior_share: float = 1.0,
     starts: Sequence[Floats] | None = None,
+    stepped: bool = False,
 ) -> ShiftEstimate | None:
     """Return the shift with least cost; None where the map covers too little of the window there, where it lies in the
     prior's tails, or where the heights leave the prior more than `max_prior_share` by a first estimate at no shift.
 
     `prior` (k, k): covariance of θ about zero, east and north first. `modes` (n, 2, k - 2): displacement (m) of each
     place by the further parameters, as of heading and wheel scale. `starts`, each (≤ k,): shifts to begin from; None:
-    the best of a grid, which costs as much as ten of them.
+    the best of a grid, which costs as much as ten of them. `stepped`: the fixes have stepped before the window.
     """
-    problem = _Problem(window, terrain, model, prior=prior, modes=modes)
+    problem = _Problem(window, terrain, model, prior=prior, modes=modes, stepped=stepped)
     if problem.prior_share_unshifted() > _FIRST_ESTIMATE * max_prior_share:
         return None
     if starts is None:
@@ -160,6 +161,7 @@ class _Problem:
         *,
         prior: Floats,
         modes: Floats | None,
+        stepped: bool,
     ) -> None:
         n = len(window.time_s)
         self._window, self._terrain = window, terrain
@@ -167,7 +169,11 @@ class _Problem:
         both = np.broadcast_to(np.eye(2), (n, 2, 2))
         self._modes: Floats = both if modes is None else np.concatenate([both, modes], axis=2)
         errors = model.covariance(
-            places, window.time_s, map_sigma_m=window.map_sigma_m, fix_sigma_m=window.sigma_m
+            places,
+            window.time_s,
+            map_sigma_m=window.map_sigma_m,
+            fix_sigma_m=window.sigma_m,
+            stepped=stepped,
         )
         gross = self._gross_errors()
         errors[gross, gross] += _REJECTED_SIGMA_M**2

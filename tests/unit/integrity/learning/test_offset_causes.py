@@ -42,12 +42,21 @@ def road(causes, first, last, *, at_s=0.0, up_m=0.3, **changes):
 # --- base, antenna, road ----------------------------------------------------------------------------------------
 
 
-def test_a_base_metres_off_is_named_within_ten_seconds_with_onset_and_value(causes):
+def test_a_base_metres_off_shows_within_ten_seconds_with_onset_and_value(causes):
     result = update(causes, 600, 720, verdict="unknown", up_m=None, east_m=12.0, north_m=-9.0)
-    assert result.cause == "base"
+    assert (result.cause, result.reported) == ("base", "ambiguous")
     assert result.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
     assert (result.up_m, result.east_north_m) == (None, (12.0, -9.0))
+    assert result.text == "+12.00 m east, -9.00 m north: fixes are off by one vector, or wrong integers"
+
+
+def test_a_base_is_reported_once_its_vector_has_lasted_longer_than_wrong_integers_do(causes):
+    off = {"verdict": "unknown", "up_m": None, "east_m": 12.0, "north_m": -9.0}
+    assert update(causes, 600, 1500, **off).reported == "ambiguous"
+    result = update(causes, 1500, 1720, **off)
+    assert (result.cause, result.reported) == ("base", "base")
     assert result.text == "+12.00 m east, -9.00 m north: fixes are off by one vector"
+    assert [news.reported for news in causes.news()] == ["ambiguous", "base"]
 
 
 def test_a_base_is_named_too_where_the_pose_rested_on_fixes_before():
@@ -87,7 +96,10 @@ def test_a_base_decimetres_off_takes_longer_than_wrong_fixes_last(causes):
     assert update(causes, 600, 880, **changes).cause != "base"
     result = update(causes, 880, 1000, **changes)
     assert (result.cause, result.up_m) == ("base", pytest.approx(0.4))
-    assert result.text == "+0.40 m up, +0.50 m east, -0.30 m north: fixes are off by one vector"
+    assert (
+        result.text
+        == "+0.40 m up, +0.50 m east, -0.30 m north: fixes are off by one vector, or wrong integers"
+    )
 
 
 def test_a_base_that_is_right_again_is_no_cause_any_more(causes):
@@ -130,7 +142,7 @@ def test_on_one_link_alone_metres_of_height_may_be_another_road():
 @pytest.mark.parametrize(
     ("rate_m_s", "cause", "text"),
     [
-        (0.0, "base", r"\+8\.00 m east, -6\.00 m north: fixes are off by one vector$"),
+        (0.0, "base", r"\+8\.00 m east, -6\.00 m north: fixes are off by one vector, or wrong integers$"),
         # It begins at one of the samples of 2 s, not between them: hence 1 % faster.
         (0.4, "drift", r"fixes are led away by \+0\.4[01] m/s east, -0\.3[01] m/s north$"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.pose_model import PoseModel
@@ -13,11 +14,15 @@ MODEL = HeightErrorModel()
 SIGMA_M, NOISE_M = 0.02, 0.01
 
 
-def filtered(slopes: np.ndarray, heights: np.ndarray, step_m: float, step_s: float) -> FilterState:
+def filtered(
+    slopes: np.ndarray, heights: np.ndarray, step_m: float, step_s: float, *, stepped: bool = False
+) -> FilterState:
     """A position of σ 5 m in east and north after heights every `step_m` on a straight path."""
     state = FilterState(PoseModel(), HEIGHT_STATES)
     state.set_pose(0.0, 0.0, 0.0, np.diag([25.0, 25.0, 1e-12]))
     states = HeightStates(state, MODEL)
+    if stepped:
+        states.reopen()
     for k, (slope, height) in enumerate(zip(slopes, heights, strict=True)):
         if k:
             states.age(step_m, step_s)
@@ -29,7 +34,8 @@ def filtered(slopes: np.ndarray, heights: np.ndarray, step_m: float, step_s: flo
     return state
 
 
-def test_it_is_the_dense_least_squares_solution() -> None:
+@pytest.mark.parametrize("stepped", [False, True])
+def test_it_is_the_dense_least_squares_solution(stepped: bool) -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         count, step_m, step_s = 60, 8.0, 1.0
@@ -38,10 +44,14 @@ def test_it_is_the_dense_least_squares_solution() -> None:
         places = np.column_stack([path, np.zeros(count)])
         sigma = np.full(count, SIGMA_M)
         errors = MODEL.covariance(
-            places, step_s * np.arange(count), map_sigma_m=sigma, fix_sigma_m=np.full(count, NOISE_M)
+            places,
+            step_s * np.arange(count),
+            map_sigma_m=sigma,
+            fix_sigma_m=np.full(count, NOISE_M),
+            stepped=stepped,
         )
         heights = slopes @ [2.0, -1.0] + 1.5 + np.linalg.cholesky(errors) @ rng.standard_normal(count)
-        state = filtered(slopes, heights, step_m, step_s)
+        state = filtered(slopes, heights, step_m, step_s, stepped=stepped)
         design = np.column_stack([slopes, np.ones(count)])
         prior = np.diag([1 / 25.0, 1 / 25.0, 1 / MODEL.offset_sigma_m**2])
         covariance = np.linalg.inv(design.T @ np.linalg.solve(errors, design) + prior)
@@ -57,11 +67,14 @@ def test_even_roads_and_standstills_give_nothing() -> None:
     assert np.linalg.eigvalsh(standing.p[:2, :2])[0] > 0.99 * 25.0
 
 
-def test_reopened_states_know_no_offset() -> None:
-    state = filtered(0.02 * np.random.default_rng(1).standard_normal((30, 2)), np.full(30, 1.8), 5.0, 0.5)
-    states = HeightStates.__new__(HeightStates)
-    states._state, states._model, states._first = state, MODEL, state.extra.start
-    before = state.p[:2, :2].copy()
+def test_states_that_are_reopened_know_neither_offset_nor_its_rate() -> None:
+    state = FilterState(PoseModel(), HEIGHT_STATES)
+    states = HeightStates(state, MODEL)
+    states.age(100.0, 10.0)
+    assert state.p[state.extra, state.extra][1, 1] == 0.0
     states.reopen()
-    assert state.p[state.extra.start, state.extra.start] == MODEL.offset_sigma_m**2
-    np.testing.assert_array_equal(state.p[:2, :2], before)
+    extra = state.p[state.extra, state.extra]
+    assert extra[0, 0] == MODEL.offset_sigma_m**2
+    assert extra[1, 1] == MODEL.stepped_rate_m_s**2
+    states.reset()
+    assert state.p[state.extra, state.extra][1, 1] == MODEL.stepped_rate_m_s**2
