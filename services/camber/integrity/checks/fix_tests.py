@@ -78,13 +78,14 @@ class FixTests:
 
     @property
     def cause_here(self) -> Cause:
-        """The cause of a lasting offset on the road under the fix."""
-        return self._diagnosis_here.reported
+        """The cause of a lasting offset on the road under the fix; none for a fix that is back from it."""
+        is_back = self._diagnosis_here.is_of_all_fixes and self.is_back_from_offset
+        return "none" if is_back else self._diagnosis_here.reported
 
     @property
     def has_common_offset(self) -> bool:
         """Are all fixes off by one vector, of the base or the datum, or one that grows, and this one with them?"""
-        return self._diagnosis_here.cause in ("base", "drift") and not self.is_back_from_offset
+        return self._diagnosis_here.is_of_all_fixes and not self.is_back_from_offset
 
     @property
     def _diagnosis_here(self) -> Diagnosis:

@@ -63,12 +63,13 @@ class CauseRules:
     map_errors: MapErrorModel = MAP_ERRORS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SeenCell:
-    """A cell, and the correction that was in force at its end."""
+    """A cell, and the correction that was in force at its end, with its σ."""
 
     cell: ResidualCell
     correction_m: float
+    correction_sigma_m: float = 0.0
 
 
 def difference_of(seen: SeenCell) -> float | None:
@@ -99,8 +100,7 @@ def offset_of(seen: Sequence[SeenCell], first: int, rules: CauseRules) -> CellOf
     begins, and a difference that has ended is none.
     """
     cells, before = [s.cell for s in seen[first:]], seen[max(first - _BEFORE, 0) : first]
-    before_m = (before[-1] if before else seen[0]).correction_m
-    up_m, up_is_one = _height(cells, before_m, rules)
+    up_m, up_is_one = _height(cells, before[-1] if before else seen[0], rules)
     east_north_m, horizontal_outcome = _horizontal([_side(cell, cells[0].begin_ns) for cell in cells], rules)
     up_is_one = up_is_one and not _had_begun([d for s in before if (d := difference_of(s)) is not None], up_m)
     horizontal_outcome = horizontal_outcome and not _had_begun(
@@ -145,14 +145,16 @@ def _mean_sigma_m(cells: Sequence[ResidualCell], map_errors: MapErrorModel) -> f
     return math.sqrt(float(map_m2) + fix_m2)
 
 
-def _height(cells: Sequence[ResidualCell], before_m: float, rules: CauseRules) -> tuple[float | None, bool]:
-    known = [(cell.up_m - before_m, cell) for cell in cells if cell.up_m is not None]
+def _height(cells: Sequence[ResidualCell], before: SeenCell, rules: CauseRules) -> tuple[float | None, bool]:
+    """The cells' common height against the correction in force before, and whether they have one."""
+    known = [(cell.up_m - before.correction_m, cell) for cell in cells if cell.up_m is not None]
     if len(known) < rules.least_cells:
         return None, False
     middle_m = statistics.median(up_m for up_m, _ in known)
     if abs(middle_m) < rules.least_height_m:
         return middle_m, False
-    if abs(middle_m) < rules.sigmas * _mean_sigma_m([cell for _, cell in known], rules.map_errors):
+    mean_sigma_m = _mean_sigma_m([cell for _, cell in known], rules.map_errors)
+    if abs(middle_m) < rules.sigmas * math.hypot(mean_sigma_m, before.correction_sigma_m):
         return middle_m, False
     nearer = [abs(up_m - middle_m) < abs(up_m) for up_m, _ in known]
     newest_m = statistics.median(up_m for up_m, _ in known[-rules.least_cells :])

@@ -32,7 +32,6 @@ Mode = Literal["per_cause", "document"]
 _MOST_CELLS = 96  # chosen: some 2 km in cells of 20 m, many times the correlation length of the map's error
 _MOST_PARTS = 16  # chosen: more base stations and map versions than one drive meets; bounds the memory
 _LONGEST_STEP_S = 10.0  # chosen: a pause in the fixes must not let the correction jump by the rate times it
-_OF_ALL_FIXES = ("base", "drift")  # where fixes are off sideways, their heights are those of other places
 _LEAST_SIGMA_M = 0.01  # of a stretch: no fix is better, whatever it claims
 
 
@@ -126,7 +125,10 @@ class Learning:
     def update(self, residual: FixResidual) -> None:
         """Learn from one judged fix what may be learnt from it."""
         before, roads = self.causes.common, len(self.causes.roads)
-        self.causes.update(residual, self.correction(residual.key).correction_m)
+        correction = self.correction(residual.key)
+        # Until something is learnt, what the survey's heights have in common is in every difference.
+        sigma_m = correction.sigma_m if correction.samples else self.rules.map_errors.common_offset_sigma_m
+        self.causes.update(residual, correction.correction_m, sigma_m)
         part = self._parts.get((residual.key.antenna, residual.key.base))
         if self.causes.common.cause != before.cause and part is not None:
             self._forget(before, self.causes.common, part)
@@ -162,7 +164,7 @@ class Learning:
     def _learn(self, cell: ResidualCell) -> None:
         """One step towards the common part of the stretches remembered."""
         part = self._part(cell.key)
-        if self.causes.common.cause in _OF_ALL_FIXES or cell.surface_id in self.causes.roads:
+        if self.causes.common.is_of_all_fixes or cell.surface_id in self.causes.roads:
             return
         last_ns = part.cells[-1][0].end_ns if part.cells else cell.begin_ns
         part.cells.append((cell, part.correction.correction_m))
@@ -200,7 +202,7 @@ class Learning:
             self._undo(part, earlier.onset_ns)
         elif _may_be_the_road(diagnosis):
             self._undo(part, diagnosis.onset_ns, keep=True)
-        if diagnosis.onset_ns is None or diagnosis.cause not in ("antenna", *_OF_ALL_FIXES):
+        if diagnosis.onset_ns is None or not (diagnosis.cause == "antenna" or diagnosis.is_of_all_fixes):
             return
         if diagnosis.cause == "antenna" and part.held_m is not None:
             return  # what drifts is not made right by having gone far

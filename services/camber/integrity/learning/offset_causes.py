@@ -71,6 +71,11 @@ class Diagnosis:
     may_be_integers: bool = False
 
     @property
+    def is_of_all_fixes(self) -> bool:
+        """Are all fixes off sideways by one vector? Then their heights are those of other places."""
+        return self.cause in ("base", "drift")
+
+    @property
     def reported(self) -> Cause:
         """The cause as far as it is known."""
         return "ambiguous" if self.may_be_integers else self.cause
@@ -117,21 +122,21 @@ class OffsetCauses:
         news, self._news = self._news, []
         return news
 
-    def update(self, residual: FixResidual, correction_m: float) -> None:
-        """Take a residual, whatever its verdict; `correction_m` is that in force."""
+    def update(self, residual: FixResidual, correction_m: float, correction_sigma_m: float = 0.0) -> None:
+        """Take a residual, whatever its verdict; `correction_m` is that in force, with its σ."""
         sampled, cell = self._independent.update(residual), self._collector.add(residual)
         sampled = self._fix_track.update(residual.track_offset, residual.key.base) or sampled
         if cell is not None:
-            self._add(cell, correction_m)
+            self._add(SeenCell(cell=cell, correction_m=correction_m, correction_sigma_m=correction_sigma_m))
         if sampled or cell is not None:
             self._name(self._current_cause(), residual.time_ns)
 
-    def _add(self, cell: ResidualCell, correction_m: float) -> None:
+    def _add(self, seen: SeenCell) -> None:
+        cell = seen.cell
         if cell.up_m is not None and cell.key.map_version != self._map_version:
             if self._map_version is not None:  # else nothing here is from another map
                 self._forget_map(cell.key.map_version)
             self._map_version = cell.key.map_version
-        seen = SeenCell(cell, correction_m)
         self._seen.append(seen)
         self._follow_roads(seen)
 

@@ -360,7 +360,7 @@ def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
 
 def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(learnt):
     before = learnt.correction(KEY).correction_m
-    update(learnt, 1200, 1500, up_m=before + 0.25)
+    update(learnt, 1200, 1500, up_m=before + 0.3)
     assert learnt.diagnosis(None).cause == "ambiguous"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
     (part,) = learnt.parts

@@ -471,3 +471,12 @@ def test_long_errors_of_the_map_are_no_cause():
         learning = Learning(LearningRules())
         for _ in drive(learning, seed, 300.0, 0.0, Noise(map_sigma_m=0.05, wrong=0.0)):
             assert learning.news() == [], seed
+
+
+@pytest.mark.parametrize(("sigma_m", "cause"), [(0.01, "ambiguous"), (0.04, "none")])
+def test_a_common_height_counts_beyond_what_the_correction_is_uncertain_by(sigma_m, cause):
+    causes = OffsetCauses(RULES)
+    for epoch in range(1000):
+        here = residual(epoch, up_m=0.18 if epoch >= 600 else 0.0, map_sigma_m=0.03, link_id=1)
+        causes.update(here, 0.0, sigma_m)
+    assert causes.common.cause == cause
