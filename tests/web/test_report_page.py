@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from camber.replay.short_drive import write_short_drive
+from camber.validation.evaluate import main
 from support.browser import WatchedPage, chromium, watched
 from support.running import replayed
 from support.tree import ROOT
@@ -44,6 +45,12 @@ def shown(browser: Any, report: Path) -> Iterator[WatchedPage]:
     assert page.complaints == []
     assert set(page.requests) == {report.as_uri()}
     page.page.close()
+
+
+def test_the_report_of_a_replay_is_that_of_its_recording(report: Path) -> None:
+    replayed_report = report.read_bytes()
+    assert main([str(report.parent)]) == 0
+    assert report.read_bytes() == replayed_report
 
 
 def middle_of(page: Any, selector: str) -> tuple[float, float]:

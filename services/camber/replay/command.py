@@ -30,6 +30,7 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
 from camber.validation.evaluate import evaluate_folder, headline
 from camber.validation.reference_trajectory import truth_of
+from camber.validation.report.chart_data import CHART_CHANNELS
 
 
 class StoppedBySignal(KeyboardInterrupt):
@@ -82,7 +83,9 @@ def replay(
             )
         else:
             began = time.monotonic()
-            output = replay_in_one_process(inputs, out, recorder=recorder, progress=bar.update)
+            output = replay_in_one_process(
+                inputs, out, channels=CHART_CHANNELS, recorder=recorder, progress=bar.update
+            )
             wall_s, notes = time.monotonic() - began, output.notes
             recorded = None if recorder.notes else output.recorded
             _write_issues(out / "logs", inputs, output)

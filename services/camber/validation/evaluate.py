@@ -13,7 +13,7 @@ from camber.formats.drive.recording import Recorded, load_recording
 from camber.formats.errors import FormatError
 from camber.replay.run_folder import DriveFacts, RunFolder
 from camber.road_map.release import Release, ReleaseError, open_release
-from camber.validation.evaluation import CHANNELS, Evaluation, evaluate
+from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.report.chart_data import CHART_CHANNELS, chart_data
 from camber.validation.report.page import render
 
@@ -26,16 +26,18 @@ def evaluate_folder(
 ) -> Evaluation:
     """Evaluate the run in `folder` and write summary.json and report.html into it.
 
-    `recorded`: the messages by channel as the recording has them, where they are still in memory.
+    `recorded`: the messages by channel (`CHART_CHANNELS`) as the recording has them, where they are still in memory.
 
-    Raises FormatError for anything missing or damaged; with `partial`, the readable part of a damaged recording is
-    evaluated, and summary and report list the damage.
+    Raises ValueError where `recorded` lacks a channel, FormatError for anything missing or damaged; with `partial`, the
+    readable part of a damaged recording is evaluated, and summary and report list the damage.
     """
     drive, run = folder.read_drive(), folder.read_run()
     truth = folder.read_truth() if drive.truth else None
     damage: list[str] = []
     if recorded is None:
         recorded, damage = _load(folder, partial)
+    if missing := set(CHART_CHANNELS) - recorded.keys():
+        raise ValueError(f"messages of {', '.join(sorted(missing))} were not kept")
     evaluation = evaluate(recorded, drive, run, truth, damage=damage)
     folder.write_summary(evaluation.summary)
     folder.write_report(render(evaluation, chart_data(recorded, drive, truth, _release(folder, drive))))
@@ -55,7 +57,7 @@ def _release(folder: RunFolder, drive: DriveFacts) -> Release | None:
 def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any]]], list[str]]:
     path = folder.recording_path
     try:
-        recorded, errors = load_recording(path, {*CHANNELS, *CHART_CHANNELS})
+        recorded, errors = load_recording(path, CHART_CHANNELS)
     except OSError as error:
         actual = error.strerror or str(error)
         raise FormatError(path.name, "file", "a readable recording", actual=actual) from None

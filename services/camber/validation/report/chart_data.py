@@ -24,7 +24,7 @@ from camber.validation.reference_trajectory import ReferenceTrajectory
 from camber.validation.report.road_shapes import road_shapes
 
 CHART_CHANNELS = tuple(name for name in CHANNELS if name != "scan_match_points")
-"""Channels whose messages are drawn: not the points of scan matches, which would be most of the page."""
+"""Channels that are drawn, and all that are evaluated; points of scan matches would be most of the page."""
 MOST_EPOCHS = 10_000
 """Rows of a table before some are left out. Chosen: 17 minutes at 10 Hz, and about 4 MB of the page."""
 _MOST_SNAPSHOTS = 1_000  # of satellites; chosen: 17 minutes at 1 Hz, 1.4 MB of the page

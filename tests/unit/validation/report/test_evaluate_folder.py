@@ -19,6 +19,7 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import Motion
 from camber.validation.evaluate import main
+from camber.validation.evaluation import CHANNELS
 from camber.validation.reference_trajectory import ReferenceTrajectory
 from camber.validation.report import chart_data
 from camber.validation.report.bundle import embedded_json
@@ -215,6 +216,10 @@ def test_the_charts_have_every_epoch_and_nan_for_what_is_not_known(tmp_path: Pat
     assert verdict["error_m"][[4, 5]] == pytest.approx([0.0, 3.0])
     assert verdict["verdict"][5] == TERMS["verdict"].index("erroneous")
     assert np.isnan(tables["position"]["hpl_m"]).all()
+
+
+def test_all_channels_that_are_evaluated_are_drawn() -> None:
+    assert set(CHANNELS) <= set(chart_data.CHART_CHANNELS)
 
 
 def test_of_many_epochs_some_are_left_out_but_none_with_a_wrong_fix(
