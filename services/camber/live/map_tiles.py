@@ -1,6 +1,6 @@
 """The map as vector tiles: road surfaces with σ, level and age, and links; what is too small to draw is left out.
 
-Zoom 14 and above: surfaces and links. 12 and 13: links. Below: the squares in which there is a map.
+Zoom 15 and above: surfaces and links. 12 to 14: links. Below: the squares in which there is a map.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from camber.road_map.tile_grid import Tile, tile_frame
 from camber.schemas.base import Float64, Int64
 from camber.schemas.road import ZOOM, CloudTile, Layer, LinkTile, SurfaceTile
 
-SURFACE_ZOOM, LINK_ZOOM, LEAST_ZOOM = 14, 12, 6
-"""Least zoom at which each is drawn. Chosen: a road of 8 m is a pixel wide at zoom 14; a tile at zoom 12
-has links of 256."""
+SURFACE_ZOOM, LINK_ZOOM, LEAST_ZOOM = 15, 12, 6
+"""Least zoom at which each is drawn. Chosen: at zoom 14 a road of 8 m is two pixels wide and hidden by its outline, and
+a screen has 70,000 surfaces of a town; a tile at zoom 12 has links of 256."""
 _CACHED = 512  # chosen: some megabytes
 _CLOUDS_CACHED = 4  # chosen: of at most 5 MB each
 _MOST_POINTS = 400_000  # of a tile; chosen: more are not distinguished on a screen

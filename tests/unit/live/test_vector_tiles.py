@@ -152,9 +152,10 @@ def test_roads_are_where_the_release_has_them(tiles: MapTiles) -> None:
 def test_smaller_zooms_have_links_then_squares(tiles: MapTiles) -> None:
     (x, y), *_ = tiles.source.tiles() or []
     layers = {
-        zoom: set(decoded(tiles.tile(zoom, x >> (ZOOM - zoom), y >> (ZOOM - zoom)))) for zoom in (14, 12, 9)
+        zoom: set(decoded(tiles.tile(zoom, x >> (ZOOM - zoom), y >> (ZOOM - zoom))))
+        for zoom in (15, 14, 12, 9)
     }
-    assert layers == {14: {"links", "surfaces"}, 12: {"links"}, 9: {"squares"}}
+    assert layers == {15: {"links", "surfaces"}, 14: {"links"}, 12: {"links"}, 9: {"squares"}}
     assert tiles.tile(ZOOM, 0, 0) == b""
     assert tiles.tile(3, 0, 0) == tiles.tile(20, 0, 0) == b""
 

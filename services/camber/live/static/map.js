@@ -93,7 +93,7 @@ export class CamberMap extends HTMLElement {
   }
 
   style() {
-    const { greeting } = this.store, sources = {}, layers = [{ id: "land", type: "background" }];
+    const { greeting } = this.store, sources = {}, layers = [{ id: "land", type: "background" }], filter = this.levelFilter();
     if (greeting.raster) {
       sources.raster = { type: "raster", tiles: [greeting.raster], tileSize: 256, maxzoom: 19 };
       layers.push({ id: "raster", type: "raster", source: "raster" });
@@ -103,11 +103,12 @@ export class CamberMap extends HTMLElement {
       sources.roads = { type: "vector", tiles: [address], minzoom: 6, maxzoom: 16, ...(greeting.map.bounds ? { bounds: greeting.map.bounds } : {}) };
       layers.push(
         { id: "squares", type: "fill", source: "roads", "source-layer": "squares", paint: { "fill-opacity": .35 } },
-        { id: "surfaces", type: "fill", source: "roads", "source-layer": "surfaces", minzoom: 14, layout: { "fill-sort-key": ["get", "level"] }, paint: { "fill-antialias": true } },
-        { id: "links", type: "line", source: "roads", "source-layer": "links", minzoom: 12, paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] } },
+        { id: "surfaces", type: "fill", source: "roads", "source-layer": "surfaces", minzoom: 15, layout: { "fill-sort-key": ["get", "level"] }, ...filter },
+        { id: "links", type: "line", source: "roads", "source-layer": "links", minzoom: 12, paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] }, ...filter },
       );
     }
-    return { version: 8, sources, layers };
+    const colours = this.paints();
+    return { version: 8, sources, layers: layers.map(layer => ({ ...layer, paint: { ...layer.paint, ...colours[layer.id] } })) };
   }
 
   addLayers() {
@@ -125,28 +126,31 @@ export class CamberMap extends HTMLElement {
       colours: () => [...store.words.verdict.map(word => rgba(colour(VERDICT_COLOURS[word] ?? "unknown"))), ...Array(6)].slice(0, 6).map(c => c ?? [0, 0, 0, 0]),
     }));
     this.scan.addLayer(map);
-    this.filter();
+  }
+
+  // Colours of the layers. They are in the style from its beginning: for other ones all tiles are read again.
+  paints() {
+    return {
+      land: { "background-color": colour("land") }, links: { "line-color": colour("links") }, squares: { "fill-color": colour("links") },
+      surfaces: { "fill-color": rampExpression(this.view.colour), "fill-outline-color": colour("land") },
+    };
   }
 
   paint() {
     this.drawKey();
     if (!this.ready) return;
-    const { map } = this, has = id => map.getLayer(id);
-    map.setPaintProperty("land", "background-color", colour("land"));
-    if (has("surfaces")) {
-      map.setPaintProperty("surfaces", "fill-color", rampExpression(this.view.colour));
-      map.setPaintProperty("surfaces", "fill-outline-color", colour("land"));
-      map.setPaintProperty("links", "line-color", colour("links"));
-      map.setPaintProperty("squares", "fill-color", colour("links"));
+    for (const [id, values] of Object.entries(this.paints())) {
+      if (!this.map.getLayer(id)) continue;
+      for (const [name, value] of Object.entries(values)) this.map.setPaintProperty(id, name, value);
     }
-    map.triggerRepaint();
+    this.map.triggerRepaint();
   }
 
+  levelFilter() { return this.view.level === "all" ? {} : { filter: ["==", ["get", "level"], Number(this.view.level)] }; }
+
   filter() {
-    const { level } = this.view;
     if (!this.map?.getLayer("surfaces")) return;
-    const only = level === "all" ? null : ["==", ["get", "level"], Number(level)];
-    for (const id of ["surfaces", "links"]) this.map.setFilter(id, only);
+    for (const id of ["surfaces", "links"]) this.map.setFilter(id, this.levelFilter().filter ?? null);
   }
 
   setPoints(on) {
