@@ -9,7 +9,7 @@ from figure import Figure, higher, least_s
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
-from camber.map_update.fusion.biweight import (
+from camber.map_update.fusion.robust_surface_heights import (
     PRIOR_VOTES,
     TUNING,
     VoteColumns,

@@ -20,7 +20,7 @@ from camber.formats.drive.recording import load_recording
 from camber.integrity.service import IntegrityService
 from camber.integrity.settings import IntegritySettings
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.runtime.bus import QueryFailed
 from camber.runtime.inbox import Inbox
 from camber.schemas.base import Message

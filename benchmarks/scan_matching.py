@@ -25,7 +25,7 @@ from camber.geodesy.se3 import invert, transform_points
 from camber.localizer.map_clouds.voxel_grid import voxel_means
 from camber.localizer.matching.layered_matching import MatchInput, MatchOptions, match_layers
 from camber.localizer.matching.registration import LayerTarget, register
-from camber.localizer.matching.road_plane_fit import fit_road
+from camber.localizer.matching.road_registration import fit_road
 from support import street_lidar
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from camber.map_update.fusion.corrections import CORRECTION, Corrections
+from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
 from camber.road_map.release_files import blob_path

@@ -10,7 +10,7 @@ import pytest
 
 from camber.localizer.service import LocalizerService
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.schemas.drive import load_manifest
 from support.live_drive import count_verdicts, known_fixes, write_drive
 

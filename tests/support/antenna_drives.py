@@ -21,7 +21,7 @@ from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.release import read_release
 from camber.schemas.base import Message
 from camber.schemas.pose import Pose, Road, ScanMatch
-from camber.simulator.faults import Fault
+from camber.simulator.injected_faults import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Path, Trajectory

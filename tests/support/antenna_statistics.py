@@ -24,7 +24,7 @@ import numpy as np
 from camber.antenna_height.estimator import AntennaHeightEstimator
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.schemas.antenna import AntennaHeight, HeightByMethod
-from camber.simulator.faults import ChangedLoad, ChangedTyre, Fault
+from camber.simulator.injected_faults import ChangedLoad, ChangedTyre, Fault
 from support.antenna_drives import AntennaDrive, antenna_drive, matched_drive, settings_of, slope_drive
 from support.lidar_drives import HILL
 

@@ -26,7 +26,7 @@ from camber.formats.drive.truth_csv import TruthTable, write_truth
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.replay.surrogate_map import make_map
 from camber.road_map.release import write_release
 from camber.schemas.drive import Surrogates, load_manifest

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.integrity.learning.independent_errors import PARTS, SINGLE
-from camber.replay.one_process import replay_in_one_process
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.simulator.world.countryside import Ground
 from camber.validation.common_faults.drive import Setting, fault_drive
 from camber.validation.common_faults.fault_cases import BY_NAME

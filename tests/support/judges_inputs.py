@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import replay_in_one_process
 from camber.replay.short_drive import write_short_drive
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.schemas.drive import load_manifest
 from camber.schemas.integrity import Verdict
 

@@ -31,7 +31,7 @@ from camber.road_map.release import Release, read_release
 from camber.schemas.drive import InitialPose
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion, Ranging, Suspension
-from camber.simulator.faults import Fault
+from camber.simulator.injected_faults import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory

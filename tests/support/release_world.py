@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from camber.map_server.release_download import SupplierUnavailableError
-from camber.map_update.fusion.corrections import CORRECTION, Corrections
+from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServer

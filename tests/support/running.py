@@ -16,9 +16,9 @@ from typing import Any
 
 from camber.formats.drive.recording import Recorded, load_recording, read_recording
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import ReportedIssue, replay_in_one_process
 from camber.replay.run_folder import RunFacts, drive_facts
 from camber.replay.short_drive import START_NS
+from camber.replay.single_process_replay import ReportedIssue, replay_in_one_process
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import query_once

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from camber.formats.map_exchange.pcd import cloud_from_pcd, read_header
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.localizer.matching.registration import LayerBounds, LayerTarget
-from camber.localizer.matching.road_plane_fit import fit_road
+from camber.localizer.matching.road_registration import fit_road
 from support.moved_objects import Change, changed
 
 Floats = NDArray[np.float64]

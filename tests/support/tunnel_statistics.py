@@ -33,7 +33,7 @@ from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadL
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadLinks
 from camber.schemas.motion import Motion
-from camber.simulator.faults import WheelSlip
+from camber.simulator.injected_faults import WheelSlip
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory

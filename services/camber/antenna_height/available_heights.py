@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from camber.antenna_height.body_attitude import Arm, BodyAttitude, Slopes, Tilt, TiltRules
-from camber.antenna_height.height_methods import (
+from camber.antenna_height.latest_inputs import HeightInputs
+from camber.antenna_height.suspension_and_ranging_heights import (
     FixedHeight,
     ImplausibleError,
     RangingGeometry,
@@ -16,7 +17,6 @@ from camber.antenna_height.height_methods import (
     ranging_height,
     stroke_height,
 )
-from camber.antenna_height.latest_inputs import HeightInputs
 from camber.schemas.antenna import HeightByMethod, HeightMethod
 from camber.schemas.motion import Ranging, Suspension
 from camber.schemas.pose import Pose, ScanMatch

@@ -12,9 +12,9 @@ from camber.antenna_height.available_heights import VehicleGeometry
 from camber.antenna_height.body_attitude import Arm, TiltRules
 from camber.antenna_height.change_detection import ChangeRules
 from camber.antenna_height.estimator import AntennaOptions
-from camber.antenna_height.height_methods import FixedHeight, RangingGeometry, StrokeGeometry
 from camber.antenna_height.method_comparison import ComparisonRules
 from camber.antenna_height.method_selection import FlatRules
+from camber.antenna_height.suspension_and_ranging_heights import FixedHeight, RangingGeometry, StrokeGeometry
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.antenna import HeightMethod
 

@@ -21,13 +21,13 @@ from camber.integrity.checks.consistency_tests import (
     POSITION_UNVERIFIED,
     REASONS,
 )
-from camber.integrity.checks.fix_tests import FixTests
+from camber.integrity.checks.fix_conditions import FixConditions
 from camber.integrity.epoch_inputs import ANTENNA_CHECKS, POSE_CHECKS, ROAD_CHECKS, Check, EpochInputs
 from camber.integrity.judgement import FixJudgement
 from camber.schemas.integrity import Evidence, Reason, VerdictValue
 
-Condition = Callable[[FixTests], bool]
-Detail = Callable[[FixTests], str]
+Condition = Callable[[FixConditions], bool]
+Detail = Callable[[FixConditions], str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class DecisionRule:
     applies: Condition
     detail: Detail
     outcome: VerdictValue = "unknown"
-    evidence: Callable[[FixTests], tuple[Evidence, ...]] = lambda _: ()
+    evidence: Callable[[FixConditions], tuple[Evidence, ...]] = lambda _: ()
     compared: bool = False
     for_height: bool = False
 
@@ -82,7 +82,7 @@ def _has_outcome(outcome: int) -> Condition:
     return lambda tests: tests.outcome == outcome
 
 
-def _figures(tests: FixTests) -> str:
+def _figures(tests: FixConditions) -> str:
     return tests.detail
 
 
@@ -90,20 +90,20 @@ def _failed_rule(outcome: int, verdict: VerdictValue, explanation: str) -> Decis
     return _compared(REASONS[outcome], explanation, _has_outcome(outcome), _figures, outcome=verdict)
 
 
-def _independent_figures(tests: FixTests) -> str:
+def _independent_figures(tests: FixConditions) -> str:
     return tests.independent_detail
 
 
-def _uncertain_model(tests: FixTests) -> str:
+def _uncertain_model(tests: FixConditions) -> str:
     most = f"expected at most the largest tolerance, {tests.determination.largest_tolerance_m} m"
     return f"σ {tests.model_sigma_m:.2f} m of road and antenna, {most}"
 
 
-def _disagreeing_subset(tests: FixTests) -> str:
+def _disagreeing_subset(tests: FixConditions) -> str:
     return "without one system its satellites are fixed elsewhere"
 
 
-def _evidence_for_confirmation(tests: FixTests) -> tuple[Evidence, ...]:
+def _evidence_for_confirmation(tests: FixConditions) -> tuple[Evidence, ...]:
     return (*tests.evidence, "track") if tests.is_starting else tests.evidence
 
 
@@ -283,7 +283,7 @@ TEST_RULES: tuple[DecisionRule, ...] = (
 _RULES_WITHOUT_HEIGHT = tuple(rule for rule in TEST_RULES if not rule.for_height)
 
 
-def decide(tests: FixTests) -> FixJudgement:
+def decide(tests: FixConditions) -> FixJudgement:
     """Return the judgement of the first rule that applies."""
     rules = TEST_RULES if tests.determination.asks_height else _RULES_WITHOUT_HEIGHT
     rule = next(rule for rule in rules if rule.applies(tests))

@@ -8,9 +8,9 @@ it by that of another estimate of the fix. The decision itself is the list in `d
 from __future__ import annotations
 
 from camber.integrity.checks.carried_position import odds_of
+from camber.integrity.checks.fix_conditions import FixConditions, JudgeState
 from camber.integrity.checks.fix_history import FixHistory
 from camber.integrity.checks.fix_sequence import FixSequence
-from camber.integrity.checks.fix_tests import FixTests, JudgeState
 from camber.integrity.decision_table import decide
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
@@ -69,7 +69,7 @@ class Judge:
 
     def examine(self, fix: Fix, alive: frozenset[str], trials: int = 1) -> FixJudgement:
         """Return the judgement of a testable fix, the last of `trials` estimates; nothing is remembered."""
-        return decide(FixTests(fix, self._state, alive=alive, trials=trials))
+        return decide(FixConditions(fix, self._state, alive=alive, trials=trials))
 
     def settle(self, judgement: FixJudgement) -> None:
         """Make a judgement final: update history and learning."""

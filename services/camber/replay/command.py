@@ -19,10 +19,10 @@ from types import FrameType
 from tqdm import tqdm
 
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
 from camber.replay.service_settings import service_settings
+from camber.replay.single_process_replay import DriveOutput, replay_in_one_process
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.drive import DriveManifest, load_manifest

@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.toml_file import FileError, Overrides, load_toml
-from camber.simulator.faults import Fault, refused_sum
+from camber.simulator.injected_faults import Fault, refused_sum
 from camber.simulator.world.district import KINDS, Kind
 
 _FOLDER = Path(__file__).parent / "scenarios"

@@ -17,7 +17,7 @@ from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import (
+from camber.simulator.injected_faults import (
     ChangedRoad,
     Fault,
     MissingEpochs,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from camber.schemas.antenna import AntennaHeight
-from camber.simulator.faults import ChangedLoad, ChangedTyre
+from camber.simulator.injected_faults import ChangedLoad, ChangedTyre
 from support.antenna_drives import AntennaDrive, antenna_drive, matched_drive, settings_of, slope_drive
 from support.antenna_statistics import judged, noticed_after_s, run, status_shares
 from support.lidar_drives import HILL

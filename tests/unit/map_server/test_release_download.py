@@ -13,7 +13,7 @@ import pytest
 
 from camber.map_server.download_thread import DownloadThread
 from camber.map_server.release_download import FolderSupplier, ReleaseDownload, SupplierUnavailableError
-from camber.map_update.fusion.corrections import NONE
+from camber.map_update.fusion.correction_rows import NONE
 from camber.map_update.release.release_builder import ReleaseBuilder, history
 from camber.road_map.release import BlobMissingError, Release, ReleaseError, open_release, read_release
 from camber.road_map.store import MapStore, StoreFullError

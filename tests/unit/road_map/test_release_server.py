@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from camber.map_update.fusion.corrections import NONE
+from camber.map_update.fusion.correction_rows import NONE
 from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServer

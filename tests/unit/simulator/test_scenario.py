@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.simulator.faults import Jamming, WrongBase, of_kind
+from camber.simulator.injected_faults import Jamming, WrongBase, of_kind
 from camber.simulator.scenario import ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.district import make_district

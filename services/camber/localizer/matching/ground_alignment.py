@@ -13,9 +13,9 @@ from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.map_clouds.map_blocks import MapBlock
-from camber.localizer.matching.road_plane_fit import RoadFit, fit_road
+from camber.localizer.matching.road_registration import RoadFit, fit_road
 from camber.localizer.matching.sweep_preparation import SensorMount
-from camber.localizer.road.road_attitude import REACH_M, GroundPlane, road_line
+from camber.localizer.road.ground_plane_fit import REACH_M, GroundPlane, road_line
 
 RoadBy: TypeAlias = Literal["surface", "line"]
 

@@ -59,7 +59,7 @@ from camber.localizer.matching.sweep_preparation import (
     SensorMount,
     prepare_sweep,
 )
-from camber.localizer.road.road_attitude import GroundPlane, ground_plane
+from camber.localizer.road.ground_plane_fit import GroundPlane, ground_plane
 from camber.schemas.lidar import Sweep
 from camber.schemas.pose import Road, ScanMatch, ScanMatchPoints
 

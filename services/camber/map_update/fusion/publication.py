@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from camber.compiled.decorator import compiled
-from camber.map_update.fusion.biweight import MAD_TO_SIGMA, FusedHeights
+from camber.map_update.fusion.robust_surface_heights import MAD_TO_SIGMA, FusedHeights
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
 from camber.map_update.fusion.votes import Floats, Integers
 

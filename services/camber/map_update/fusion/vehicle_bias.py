@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
-from camber.map_update.fusion.biweight import MAD_TO_SIGMA, TUNING
+from camber.map_update.fusion.robust_surface_heights import MAD_TO_SIGMA, TUNING
 from camber.map_update.fusion.surface_shape import finite_medians
 from camber.map_update.fusion.votes import Floats, Integers
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_update.fusion.corrections import CORRECTION, Corrections
+from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
 from camber.map_update.fusion.votes import merge_votes

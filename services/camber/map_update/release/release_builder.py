@@ -18,7 +18,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, normalize, to_bytes
+from camber.map_update.fusion.correction_rows import NONE, Corrections, from_bytes, normalize, to_bytes
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.road_map.release_writer import StoredBlob, TileKey, write_tiles_and_manifest

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.corrections import Corrections
+from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.fusion.publication import DECISIONS, REASONS, Decisions
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError

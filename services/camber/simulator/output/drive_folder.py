@@ -42,7 +42,7 @@ from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.arrivals import write_arrivals
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion, Ranging, Suspension
-from camber.simulator.faults import ChangedRoad, WrongMap
+from camber.simulator.injected_faults import ChangedRoad, WrongMap
 from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.output.drive_manifest import manifest_text
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, pcap_of

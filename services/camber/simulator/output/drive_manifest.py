@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from camber.geodesy.angles import wrap_pi
-from camber.simulator.faults import DroppedProcess, of_kind
+from camber.simulator.injected_faults import DroppedProcess, of_kind
 from camber.simulator.random_streams import stream
 from camber.simulator.simulated_drive import SimulatedDrive
 from camber.simulator.vehicle.body import Point, VehicleBody

@@ -10,7 +10,7 @@ import numpy as np
 from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_number
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import Fault, antenna_offset_m, cn0_loss_db
+from camber.simulator.injected_faults import Fault, antenna_offset_m, cn0_loss_db
 from camber.simulator.satellites.atmosphere import Atmosphere
 from camber.simulator.satellites.carrier_locks import Locks, locks
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S, OrbitTable, newest_in_use

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.schemas.lidar import Sweep
-from camber.simulator.faults import BlockedLidar, Fault, SymmetricScene
+from camber.simulator.injected_faults import BlockedLidar, Fault, SymmetricScene
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Booleans, Floats, Hits, Integers, Material
 from camber.simulator.vehicle.beam_pattern import BeamPattern

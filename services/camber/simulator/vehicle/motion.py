@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.simulator.faults import ChangedLoad, ChangedTyre, Fault, WheelSlip, vehicle_effect
+from camber.simulator.injected_faults import ChangedLoad, ChangedTyre, Fault, WheelSlip, vehicle_effect
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations
 from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody

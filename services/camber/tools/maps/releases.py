@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
-from camber.map_update.fusion.corrections import NONE, Corrections
+from camber.map_update.fusion.correction_rows import NONE, Corrections
 from camber.map_update.fusion.votes import vote_values
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history, reference_in
 from camber.map_update.release.review import ReviewFolder

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from camber.replay.one_process import DriveOutput
+from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Float64
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.reference_trajectory import truth_of

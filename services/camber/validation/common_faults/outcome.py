@@ -9,7 +9,7 @@ import numpy as np
 
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.integrity.learning.offset_causes import ISSUE_CODES
-from camber.replay.one_process import DriveOutput
+from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Int64
 from camber.schemas.integrity import Position, Verdict
 from camber.validation.common_faults.drive import FaultDrive

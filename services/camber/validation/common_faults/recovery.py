@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.replay.one_process import DriveOutput
+from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Float64, Int64
 from camber.schemas.integrity import Verdict
 from camber.schemas.pose import Pose

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from camber.integrity.settings import IntegritySettings
-from camber.replay.one_process import replay_in_one_process
+from camber.replay.single_process_replay import replay_in_one_process
 from camber.schemas.integrity import HorizontalReference
 from camber.validation.common_faults.drive import Setting, fault_drive
 from camber.validation.common_faults.fault_cases import BY_NAME, CommonFault

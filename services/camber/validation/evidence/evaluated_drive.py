@@ -9,8 +9,8 @@ from typing import Any
 
 from camber.formats.drive.truth_csv import TruthTable
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, drive_facts
+from camber.replay.single_process_replay import DriveOutput, replay_in_one_process
 from camber.schemas.drive import DriveManifest
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.reference_trajectory import truth_of

@@ -13,7 +13,7 @@ import numpy as np
 
 from camber.formats.drive.recording import Recorded
 from camber.formats.drive.truth_csv import WRONG_M, TruthTable
-from camber.replay.one_process import DriveOutput
+from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Int64
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario

@@ -27,7 +27,7 @@ from camber.localizer.matching.ground_alignment import (
     measure_sensor_heights,
 )
 from camber.localizer.matching.sweep_preparation import SensorMount
-from camber.localizer.road.road_attitude import ground_plane
+from camber.localizer.road.ground_plane_fit import ground_plane
 from camber.localizer.road.road_raster import RoadHeights
 
 SENSORS = ("up_lidar", "down_lidar")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from camber.map_update.fusion.biweight import FusedHeights
 from camber.map_update.fusion.publication import (
     DECISIONS,
     REASONS,
@@ -17,6 +16,7 @@ from camber.map_update.fusion.publication import (
     normal_deviates,
     upper_tails,
 )
+from camber.map_update.fusion.robust_surface_heights import FusedHeights
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
 from support.small_map import surface, surfaces
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.biweight import VoteColumns, estimate_heights
+from camber.map_update.fusion.robust_surface_heights import VoteColumns, estimate_heights
 from camber.map_update.fusion.vehicle_bias import Biases, VarianceComponents, estimate_biases
 
 Floats = NDArray[np.float64]

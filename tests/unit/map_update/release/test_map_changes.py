@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.map_update.fusion.corrections import CORRECTION
+from camber.map_update.fusion.correction_rows import CORRECTION
 from camber.map_update.fusion.publication import ALARM, DECISION, DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
 from camber.map_update.release import map_changes as module

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_update.fusion.corrections import (
+from camber.map_update.fusion.correction_rows import (
     CORRECTION,
     NONE,
     Corrections,

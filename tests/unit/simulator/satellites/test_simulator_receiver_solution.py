@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from camber.formats.receiver.solution import SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.simulator.faults import Spoofing
+from camber.simulator.injected_faults import Spoofing
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.differenced_geometry import differenced_geometry, fitting
 from camber.simulator.satellites.observations import simulate_signals

@@ -7,7 +7,7 @@ import pytest
 
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import Fault, Jamming, Spoofing
+from camber.simulator.injected_faults import Fault, Jamming, Spoofing
 from camber.simulator.satellites.carrier_locks import locks
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.observations import SimulatedSignals, simulate_signals

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.simulator.faults import BlockedLidar, SymmetricScene
+from camber.simulator.injected_faults import BlockedLidar, SymmetricScene
 from camber.simulator.scene import Floats, Material, Shapes, Trajectory
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64, PATTERNS, BeamPattern
 from camber.simulator.vehicle.body import CAR

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
-from camber.simulator.faults import ChangedLoad, ChangedTyre, WheelSlip
+from camber.simulator.injected_faults import ChangedLoad, ChangedTyre, WheelSlip
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive

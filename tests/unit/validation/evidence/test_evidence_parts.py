@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.truth_csv import TruthTable
-from camber.replay.one_process import DriveOutput, ReportedIssue
-from camber.simulator.faults import Fault
+from camber.replay.single_process_replay import DriveOutput, ReportedIssue
+from camber.simulator.injected_faults import Fault
 from camber.validation.evidence import command as evidence
 from camber.validation.evidence.faults import (
     NAMED_BY,

@@ -49,7 +49,7 @@ class JudgeState:
         return replace(inputs, pose=self.carried.improve(pose))
 
 
-class FixTests:
+class FixConditions:
     """The tests of a fix, the last of `trials` estimates; `alive` are the services on the bus."""
 
     def __init__(self, fix: Fix, state: JudgeState, *, alive: frozenset[str], trials: int) -> None:

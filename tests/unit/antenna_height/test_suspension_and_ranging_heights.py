@@ -15,7 +15,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from camber.antenna_height.body_attitude import Arm, BodyAttitude, Slopes, Tilt, TiltRules
-from camber.antenna_height.height_methods import (
+from camber.antenna_height.suspension_and_ranging_heights import (
     ImplausibleError,
     RangingGeometry,
     StrokeGeometry,

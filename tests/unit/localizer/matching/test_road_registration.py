@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camber.localizer.matching.registration import LayerTarget
-from camber.localizer.matching.road_plane_fit import fit_road
+from camber.localizer.matching.road_registration import fit_road
 from support.plain_layers import MAP_DENSITY, pose, road, seen_from
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw, transform_points
 from camber.localizer.matching.sweep_preparation import SensorMount
-from camber.localizer.road.road_attitude import ground_plane, road_line
+from camber.localizer.road.ground_plane_fit import ground_plane, road_line
 
 Floats = NDArray[np.float64]
 MOUNT = SensorMount(x_m=1.1, y_m=0.0, z_m=1.95)

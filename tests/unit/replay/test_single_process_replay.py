@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.one_process import RESTART_S, replay_in_one_process
 from camber.replay.short_drive import START_NS, write_short_drive
+from camber.replay.single_process_replay import RESTART_S, replay_in_one_process
 from camber.schemas.drive import load_manifest
 
 

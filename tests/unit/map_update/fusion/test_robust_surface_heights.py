@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
-from camber.map_update.fusion.biweight import (
+from camber.map_update.fusion.robust_surface_heights import (
     TUNING,
     FusedHeights,
     VoteColumns,
