@@ -1,4 +1,4 @@
-"""The page's own files: nothing from elsewhere, nothing a vehicle sends becomes HTML, licences beside libraries."""
+"""Files of the live page and of the report: nothing from elsewhere, no text becomes HTML, licences beside libraries."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ import pytest
 
 from camber.live.runbook import runbook_entries
 from camber.live.server import STATIC
+from camber.validation.report import bundle
 
-PAGE_FILES = sorted(path for path in STATIC.iterdir() if path.suffix in {".js", ".html", ".css", ".svg"})
+PAGE_FILES = sorted(
+    path
+    for folder in (STATIC, bundle.HERE)
+    for path in folder.iterdir()
+    if path.suffix in {".js", ".html", ".css", ".svg"}
+)
 AS_HTML = r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|createContextualFragment|DOMParser|srcdoc"
 AS_PROGRAM = r"\beval\(|new Function|setTimeout\([\"']"
 
@@ -34,7 +40,7 @@ def test_every_library_has_its_licence() -> None:
 
 def test_what_is_imported_is_there() -> None:
     for path in PAGE_FILES:
-        for name in re.findall(r"(?:from|import) \"(\./[^\"]+)\"", path.read_text("utf-8")):
+        for name in re.findall(r"(?:from|import) \"(\.\.?/[^\"]+)\"", path.read_text("utf-8")):
             assert (path.parent / name).is_file(), f"{path.name}: {name}"
 
 

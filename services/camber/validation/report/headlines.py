@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from camber.schemas.base import Float64, Int64
+from camber.validation import markdown
 from camber.validation.fix_statistics import CAUTIOUS_GAP_S
 from camber.validation.statistics import rate_interval
 
@@ -110,10 +111,7 @@ def interval_text(events: float, trials: float) -> str:
 
 def percent(share: float | None, decimals: int = 1) -> str:
     """A share in percent; only 1 is written as 100 %."""
-    if share is None:
-        return NOT_KNOWN
-    step = 10.0**-decimals
-    return f"{100 * share if share == 1.0 else min(100 * share, 100 - step):.{decimals}f}{NBSP}%"
+    return NOT_KNOWN if share is None else markdown.percent(share, decimals).replace(" ", NBSP)
 
 
 def metres(value: float | None) -> str:
