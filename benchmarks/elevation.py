@@ -53,11 +53,12 @@ def ground_m(east_m: Floats, north_m: Floats) -> Floats:
 
 
 class City:
-    """Streets as a table; surface `street × SURFACES + place`, the northward streets after the eastward ones."""
+    """Streets as a table; surface `street × surfaces + place`, the northward streets after the eastward ones."""
 
-    def __init__(self) -> None:
-        street, place = (a.ravel() for a in np.mgrid[0 : 2 * STREETS, 0:SURFACES])
-        self.above = street >= STREETS
+    def __init__(self, streets: int = STREETS, surfaces: int = SURFACES) -> None:
+        self.streets = streets
+        street, place = (a.ravel() for a in np.mgrid[0 : 2 * streets, 0:surfaces])
+        self.above = street >= streets
         self.east_m, self.north_m = self.plane_m(street, (place + 0.5) * LENGTH_M, np.zeros(len(street)))
         latitude, longitude, _ = self.geodetic(self.east_m, self.north_m)
         steps = np.linspace(-0.5, 0.5, 3)
@@ -68,7 +69,7 @@ class City:
             np.broadcast_to(across_m, (len(street), 9)),
         )
         heights_m = ground_m(east_m, north_m) + CLEARANCE_M * self.above[:, None]
-        self.link = street * (SURFACES // PER_LINK) + place // PER_LINK
+        self.link = street * (surfaces // PER_LINK) + place // PER_LINK
         # Ids as they come after years of splits and merges: far apart, in no order.
         self.surface_id = np.random.default_rng(SEED).permutation(len(street)) * 7919 + 1_000_000
         self.surfaces = RoadSurfaces(
@@ -85,24 +86,24 @@ class City:
             last_seen_ns=np.full(len(street), MADE_NS),
             heights_m=list(heights_m.reshape(-1, 3, 3)),
         )
-        link = np.arange(2 * STREETS * SURFACES // PER_LINK)
-        nth = link % (SURFACES // PER_LINK)
+        per_street = surfaces // PER_LINK
+        link = np.arange(2 * streets * per_street)
+        nth = link % per_street
         ends_m = np.stack((nth, nth + 1), axis=1) * LENGTH_M * PER_LINK
-        lines_m = self.plane_m((link // (SURFACES // PER_LINK))[:, None], ends_m, np.zeros(ends_m.shape))
+        lines_m = self.plane_m((link // per_street)[:, None], ends_m, np.zeros(ends_m.shape))
         vertices = self.geodetic(*(axis.ravel() for axis in lines_m))
         self.links = RoadLinks(
             link_id=link,
-            start_node=link + link // (SURFACES // PER_LINK),
-            end_node=link + link // (SURFACES // PER_LINK) + 1,
+            start_node=link + link // per_street,
+            end_node=link + link // per_street + 1,
             level=(link >= len(link) // 2).astype(np.int64),
             sigma_m=np.full(len(link), 0.5),
             vertices=list(np.column_stack(vertices[:2]).reshape(-1, 2, 2)),
         )
 
-    @staticmethod
-    def plane_m(street: Integers, along_m: Floats, left_m: Floats) -> tuple[Floats, Floats]:
+    def plane_m(self, street: Integers, along_m: Floats, left_m: Floats) -> tuple[Floats, Floats]:
         """East and north of places on streets."""
-        above, offset_m = street >= STREETS, street % STREETS * APART_M
+        above, offset_m = street >= self.streets, street % self.streets * APART_M
         return np.where(above, offset_m - left_m, along_m), np.where(above, along_m, offset_m + left_m)
 
     @staticmethod
