@@ -142,7 +142,7 @@ class ReliefLocalization:
             height_m - road.elevation_m,
             (road.slope_east or 0.0, road.slope_north or 0.0),
             variance_m2=sigma_m**2 + (0.5 * _CURVATURE_PER_M * spread_m2) ** 2,
-            extra=self._states.row(road.sigma_m or 0.0),
+            extra=self._states.row(road.sigma_m or 0.0, sigma_m),
         )
         self._diagnostics.count(f"relief.{update.outcome}")
         if update.outcome == "outside_gate":

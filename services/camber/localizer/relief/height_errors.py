@@ -30,8 +30,12 @@ class HeightErrorModel:
     stepped_rate_m_s: float = (
         4e-3  # rms of 2,213 wrong fixes of `wrong_fix_shapes` (median 0.5 mm/s, 95 % 6.5 mm/s)
     )
-    fix_common_sigma_m: float = 0.015  # docs/theory/integrity.md: multipath of the phase in a street, 1–3 cm
+    fix_common_sigma_m: float = 0.015  # docs/theory/integrity.md: multipath of the phase, at least
     fix_common_time_s: float = 30.0  # chosen: reflections change within metres, and last at a standstill
+
+    def fix_common_m(self, fix_sigma_m: Floats) -> Floats:
+        """Return σ (n,) of f; no less than the white noise `fix_sigma_m` (n,): in streets both are larger."""
+        return np.maximum(self.fix_common_sigma_m, fix_sigma_m)
 
     def covariance(
         self,
@@ -52,6 +56,7 @@ class HeightErrorModel:
         if stepped:
             walk += self.stepped_rate_m_s**2 * np.outer(since_s, since_s)
         apart_s = np.abs(np.subtract.outer(time_s, time_s))
-        fix = self.fix_common_sigma_m**2 * np.exp(-apart_s / self.fix_common_time_s)
+        common_m = self.fix_common_m(fix_sigma_m)
+        fix = np.outer(common_m, common_m) * np.exp(-apart_s / self.fix_common_time_s)
         alike = self.map_errors.covariance_m2(places, map_sigma_m)
         return np.asarray(alike + walk + fix + np.diag(fix_sigma_m**2), np.float64)

@@ -1,8 +1,8 @@
 """States of the errors of fixes' heights, beside a pose in one filter: common offset and its rate, fix, map.
 
-The map's errors have unit variance here (`MapErrorModel`), times the map's σ in an observation. With them as states,
-repeated heights of one stretch give what they give once (SITAN with coloured noise: Hostetler and Andreas 1983, by
-state augmentation, Gelb 1974, section 4.5).
+The errors of fix and map have unit variance here, times their σ in an observation (`MapErrorModel`). With them as
+states, repeated heights of one stretch give what they give once (SITAN with coloured noise: Hostetler and Andreas 1983,
+by state augmentation, Gelb 1974, section 4.5).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class HeightStates:
         sigmas = {
             OFFSET: model.offset_sigma_m,
             RATE: model.stepped_rate_m_s if self._stepped else 0.0,
-            FIX: model.fix_common_sigma_m,
+            FIX: 1.0,
         }
         for index, sigma in sigmas.items():
             self._state.x[self._first + index] = 0.0
@@ -66,13 +66,14 @@ class HeightStates:
         transition[MAP:, MAP:] = model.map_errors.transition(path_m)
         noise = np.zeros((HEIGHT_STATES, HEIGHT_STATES))
         noise[OFFSET, OFFSET] = model.offset_walk_m_sqrt_s**2 * time_s
-        noise[FIX, FIX] = (1.0 - keep * keep) * model.fix_common_sigma_m**2
+        noise[FIX, FIX] = 1.0 - keep * keep
         noise[MAP:, MAP:] = model.map_errors.process_noise(path_m)
         x[extra] = transition @ x[extra]
         p[extra] = transition @ p[extra]
         p[:, extra] = p[:, extra] @ transition.T
         p[extra, extra] += noise
 
-    def row(self, map_sigma_m: float) -> tuple[float, ...]:
-        """Return the derivatives (`HEIGHT_STATES`,) of a height by the states."""
-        return 1.0, 0.0, 1.0, *(map_sigma_m * self._model.map_errors.observation)
+    def row(self, map_sigma_m: float, fix_sigma_m: float) -> tuple[float, ...]:
+        """Return the derivatives (`HEIGHT_STATES`,) of a height by the states; `fix_sigma_m`: of its white noise."""
+        common_m = max(self._model.fix_common_sigma_m, fix_sigma_m)
+        return 1.0, 0.0, common_m, *(map_sigma_m * self._model.map_errors.observation)

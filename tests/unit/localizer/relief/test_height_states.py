@@ -11,7 +11,7 @@ from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.height_states import HEIGHT_STATES, HeightStates
 
 MODEL = HeightErrorModel()
-SIGMA_M, NOISE_M = 0.02, 0.01
+SIGMA_M, NOISE_M = 0.02, 0.018
 
 
 def filtered(
@@ -28,7 +28,7 @@ def filtered(
             states.age(step_m, step_s)
         h = state.rows(1)
         h[0, :2] = slope
-        h[0, state.extra] = states.row(SIGMA_M)
+        h[0, state.extra] = states.row(SIGMA_M, NOISE_M)
         innovation = np.array([height - float(h[0] @ state.x)])
         state.update_joseph(h, innovation, np.array([[NOISE_M**2]]))
     return state
