@@ -28,8 +28,8 @@ from camber.live.access import LOOPBACK
 from camber.live.history import HOUR_ROWS, History
 from camber.live.map_tiles import MapTiles, ReleaseSource
 from camber.live.rows import LAYOUTS, RowWriter
-from camber.live.server import LiveState, application
 from camber.live.sources import BusSource, RecordingSource
+from camber.live.web_server import LiveState, application
 from camber.road_map.release import ReleaseError, open_release
 from camber.schemas.channels import SERVICES, VEHICLE_SERVICES
 from camber.tools.options.bus_options import add_bus_options, bus_settings

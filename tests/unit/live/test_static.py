@@ -7,7 +7,7 @@ import re
 import pytest
 
 from camber.live.runbook import runbook_entries
-from camber.live.server import STATIC
+from camber.live.web_server import STATIC
 from camber.validation.report import bundle
 
 PAGE_FILES = sorted(

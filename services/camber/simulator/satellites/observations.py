@@ -17,7 +17,7 @@ from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S, OrbitTable, n
 from camber.simulator.satellites.parameters import DATA_ONLY, Receiver, SignalParameters
 from camber.simulator.satellites.propagation import Surroundings, open_sky, propagation
 from camber.simulator.satellites.ranges import Ranges, ranges
-from camber.simulator.satellites.signal_levels import Levels, levels
+from camber.simulator.satellites.signal_errors import Levels, levels
 from camber.simulator.satellites.track import AntennaTrack, GeodeticTrack, geodetic_track
 from camber.simulator.scene import Booleans, Floats, Integers
 
