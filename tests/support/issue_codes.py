@@ -41,7 +41,7 @@ _OF_QUEUES: tuple[str, ...] = ()  # these are texts where they are queued
 ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
     ("gnss/service.py", "code"): (*typing.get_args(EngineWarning), "ephemeris_refused"),
     ("gnss/service.py", "refusal"): typing.get_args(Refusal),
-    ("integrity/service.py", "ISSUE_CODES[named.cause]"): tuple(ISSUE_CODES.values()),
+    ("integrity/service.py", "ISSUE_CODES[named.reported]"): tuple(ISSUE_CODES.values()),
     ("integrity/service.py", "code"): _OF_QUEUES,
     ("localizer/localization.py", "f'motion_{outcome}'"): ("motion_repeated", "motion_backwards"),
     ("localizer/matching/scan_matcher.py", "f'sweep_{sweep.problem}'"): tuple(

@@ -149,8 +149,7 @@ class Localization:
         if self._relief is None or self._fix_track is None:
             return
         track, road = self._filter.track, self._road.last
-        placed = self._filter.prediction_at(fix.time_ns)
-        if self._fix_steps.is_step(fix, track.at(fix.time_ns), placed, road):
+        if self._fix_steps.is_step(fix, track.at(fix.time_ns), road):
             self._diagnostics.count("relief.fix_steps")
             self._relief.forget_offset()
             self._fix_track.forget_fixes()

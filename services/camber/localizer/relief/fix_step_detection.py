@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from camber.geodesy.angles import wrap_pi
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.localizer.filter.planar_pose import rotated
-from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.track import TrackPoint
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Road
@@ -21,6 +21,11 @@ from camber.schemas.pose import Road
 _LEAST_STEP_M: Final = 0.3  # chosen: half of what wrong integers put a position off by in space, 0.5 m
 _SIGMAS: Final = 3.0  # chosen: errors of successive fixes are nearly the same, so that σ is rather too large
 _PATH_SHARE: Final = 0.01  # docs/theory/odometry.md: wheel scale before it is calibrated
+_DIRECTION_SIGMA_RAD: Final = 0.02  # derived: 2 cm of a fix over 2 m, by half of its weight in the mean
+_TURN_SHARE: Final = 0.25  # chosen: a yaw rate that is late by a quarter of the time between two fixes
+_DIRECTION_WEIGHT: Final = 0.3  # chosen: the mean of some six displacements
+_LEAST_DIRECTION_M: Final = 2.0  # chosen: the direction of a shorter displacement is known to 1° at most
+_LOST_AFTER: Final = 3  # steps in a row; chosen: then it is the track that has turned otherwise
 _LEAST_ROAD_SLOPE: Final = (
     0.12  # derived: the steepest road (RAS-L 1995) while the road below is that of another pose
 )
@@ -33,19 +38,24 @@ class _PlacedFix(NamedTuple):
 
 
 class FixStepDetection:
-    """Compares each fix with the one before; `lever_m`: antenna in the vehicle's axes, x forward, y left."""
+    """Compares each fix with the one before; `lever_m`: antenna in the vehicle's axes, x forward, y left.
+
+    The direction of the driven track is that of the fixes before, so no heading of a pose is in it.
+    """
 
     def __init__(self, lever_m: tuple[float, float]) -> None:
         self._lever_m = lever_m
         self._last: _PlacedFix | None = None
+        self._direction_rad: float | None = None
+        self._steps = 0
 
-    def is_step(self, fix: Fix, track: TrackPoint | None, pose: Prediction | None, road: Road) -> bool:
-        """Take a fix at a point of the driven track, with the pose and the newest road; return whether it is a step.
+    def is_step(self, fix: Fix, track: TrackPoint | None, road: Road) -> bool:
+        """Take a fix at a point of the driven track, with the newest road; return whether it is a step.
 
-        The first fix is none, nor is one that cannot be compared because motion or heading are not known.
+        The first fix is none, nor is one that cannot be compared because the motion is not known.
         """
         if track is None:
-            self._last = None
+            self._last = self._direction_rad = None
             return False
         road_m = road.elevation_m if road.status == "known" else None
         last, self._last = self._last, _PlacedFix(fix, track, road_m)
@@ -53,40 +63,43 @@ class FixStepDetection:
             return False
         if _base_of(fix) != _base_of(last.fix):
             return True
-        passed_m = abs(track.path_m - last.track.path_m)
-        return _is_vertical_step(last, self._last, passed_m) or self._is_horizontal_step(
-            last, self._last, passed_m, pose
-        )
+        is_step = _is_vertical_step(last, self._last) or self._is_horizontal_step(last, self._last)
+        self._steps = self._steps + 1 if is_step else 0
+        if self._steps >= _LOST_AFTER:
+            self._direction_rad, self._steps = None, 0
+        return is_step
 
-    def _is_horizontal_step(
-        self, last: _PlacedFix, this: _PlacedFix, passed_m: float, pose: Prediction | None
-    ) -> bool:
-        if pose is None or not pose.yaw_known:
-            return False
-        moved = self._moved_m(last.track, this.track, pose.yaw_rad)
-        east_m, north_m = east_north_between(
+    def _is_horizontal_step(self, last: _PlacedFix, this: _PlacedFix) -> bool:
+        """Whether the displacement is another one; if not, the direction is updated by it."""
+        moved = self._moved_m(last.track, this.track)
+        shown = east_north_between(
             last.fix.latitude_rad, last.fix.longitude_rad, this.fix.latitude_rad, this.fix.longitude_rad
         )
-        off_m = math.hypot(east_m - moved[0], north_m - moved[1])
+        turn_rad = math.atan2(shown[1], shown[0]) - math.atan2(moved[1], moved[0])
+        direction_rad = turn_rad if self._direction_rad is None else self._direction_rad
+        east_m, north_m = rotated(direction_rad, *moved)
+        off_m = math.hypot(shown[0] - east_m, shown[1] - north_m)
         variance_m2 = _horizontal_m2(last.fix) + _horizontal_m2(this.fix)
-        variance_m2 += (_PATH_SHARE**2 + pose.yaw_sigma_rad**2) * passed_m**2
-        return off_m > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(variance_m2))
+        late_rad = _TURN_SHARE * (this.track.yaw_rad - last.track.yaw_rad)
+        variance_m2 += (_PATH_SHARE**2 + _DIRECTION_SIGMA_RAD**2 + late_rad**2) * math.hypot(*moved) ** 2
+        if off_m > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(variance_m2)):
+            return True
+        if min(math.hypot(*moved), math.hypot(*shown)) >= _LEAST_DIRECTION_M:
+            self._direction_rad = direction_rad + _DIRECTION_WEIGHT * wrap_pi(turn_rad - direction_rad)
+        return False
 
-    def _moved_m(self, last: TrackPoint, this: TrackPoint, yaw_rad: float) -> tuple[float, float]:
-        """East and north that the antenna has moved, by the track turned to the heading `yaw_rad` now."""
-        east_m, north_m = rotated(
-            yaw_rad - this.yaw_rad, this.east_m - last.east_m, this.north_m - last.north_m
-        )
-        now = rotated(yaw_rad, *self._lever_m)
-        then = rotated(yaw_rad - this.yaw_rad + last.yaw_rad, *self._lever_m)
-        return east_m + now[0] - then[0], north_m + now[1] - then[1]
+    def _moved_m(self, last: TrackPoint, this: TrackPoint) -> tuple[float, float]:
+        """What the antenna has moved by, in the track's frame."""
+        now, then = rotated(this.yaw_rad, *self._lever_m), rotated(last.yaw_rad, *self._lever_m)
+        return this.east_m - last.east_m + now[0] - then[0], this.north_m - last.north_m + now[1] - then[1]
 
 
-def _is_vertical_step(last: _PlacedFix, this: _PlacedFix, passed_m: float) -> bool:
+def _is_vertical_step(last: _PlacedFix, this: _PlacedFix) -> bool:
     if last.road_m is None or this.road_m is None:
         return False
     off_m = (this.fix.height_m - this.road_m) - (last.fix.height_m - last.road_m)
     variance_m2 = _up_m2(last.fix) + _up_m2(this.fix)
+    passed_m = abs(this.track.path_m - last.track.path_m)
     return abs(off_m) > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(variance_m2)) + _LEAST_ROAD_SLOPE * passed_m
 
 

@@ -63,7 +63,10 @@ def test_the_localizer_follows_the_drive_by_heights_and_raises_no_alarm() -> Non
 
 
 def test_the_localizer_keeps_its_position_when_fixes_are_led_away() -> None:
-    """Heights are right, places are not: the pose follows them, the independent position does not."""
+    """Heights are right, places are not: the pose follows them, the independent position does not.
+
+    What leads along the heading steps in a curve, which costs the relief information from then on.
+    """
 
     def led(seconds: float, path_m: float, heading_rad: float) -> tuple[float, float]:
         return 0.05 * seconds * math.cos(heading_rad), 0.05 * seconds * math.sin(heading_rad)
@@ -74,5 +77,8 @@ def test_the_localizer_keeps_its_position_when_fixes_are_led_away() -> None:
     away_m = np.hypot(*(drive.fix_m - drive.true_m).T)
     assert any(alarms)
     print(f"named when {away_m[alarms.index(True)]:.2f} m off")
-    assert away_m[alarms.index(True)] < 4.5
-    np.testing.assert_array_equal(drive.independent_m, right.independent_m)
+    assert away_m[alarms.index(True)] < 3.0
+    same = np.all(drive.independent_m == right.independent_m, axis=1) | np.isnan(drive.independent_m[:, 0])
+    assert same[: alarms.index(True)].all()
+    known = np.isfinite(drive.independent_m[:, 0])
+    assert (drive.chi2[known] < 9.21).mean() > 0.97

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from camber.localizer.filter.planar_pose import rotated
-from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.track import TrackPoint
 from camber.localizer.relief.fix_step_detection import FixStepDetection
 from camber.schemas.gnss import Fix
@@ -47,15 +46,7 @@ def steps_of(offset_m: Offset, *, base: Callable[[float], str] = lambda _: "1") 
             road_m + 1.8 + off[2] + noise[2],
             base(at_s),
         )
-        pose = Prediction(
-            time_ns=one.time_ns,
-            east_m=0.0,
-            north_m=0.0,
-            yaw_rad=TURNED_RAD + yaw_rad + 0.01,
-            yaw_known=True,
-            covariance=np.diag([1.0, 1.0, 0.02**2]),
-        )
-        if detection.is_step(one, track, pose, road(elevation_m=road_m)):
+        if detection.is_step(one, track, road(elevation_m=road_m)):
             steps.append(round(at_s, 3))
     return steps
 
