@@ -15,6 +15,7 @@ import pytest
 from camber.formats.foxglove.protobuf import decode
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.replay.short_drive import write_short_drive
+from camber.runtime.bus import Bus
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Position
 from support.running import CLOCK, bus_of, camber, camber_started, loopback_router
@@ -153,18 +154,26 @@ def test_a_peer_that_floods_or_sends_nonsense_ends_nothing(endpoint: str) -> Non
     gnss = bus_of(endpoint, "gnss")
     options = ("--vehicle", "car", "--connect", endpoint, "--port", "0")
     with camber_started("foxglove", *options) as process, Viewer(url_of(process)) as viewer:
-        session = gnss._session
+        for n in range(200):  # until its subscription is known: before that a flood reaches nobody
+            _publish_fix(gnss, n)
+            viewer.listen(0.1)
+            if viewer.received.get("/gnss/fix"):
+                break
         for n in range(3000):
-            session.put("camber/v1/car/gnss/fix", bytes([n % 256]) * (n % 50))
-        now_ns = CLOCK.now_ns()
-        place = {"latitude_rad": 0.6, "longitude_rad": 2.3, "height_m": 50.0}
-        for n in range(20):
-            more = {"time_ns": now_ns + n, "fix_id": n, "covariance_enu_m2": None, **place}
-            gnss.publish("fix", Fix(origin="receiver", quality="fixed", **more))
+            gnss._session.put("camber/v1/car/gnss/fix", bytes([n % 256]) * (n % 50))
+        before = len(viewer.received["/gnss/fix"])
+        for n in range(200, 220):
+            _publish_fix(gnss, n)
             viewer.listen(0.1)
         process.terminate()
         output, _ = process.communicate(timeout=20.0)
     gnss.close()
     assert process.returncode == 0, output
     assert "not shown" in output
-    assert viewer.received["/gnss/fix"]
+    assert len(viewer.received["/gnss/fix"]) > before
+
+
+def _publish_fix(gnss: Bus, number: int) -> None:
+    place = {"latitude_rad": 0.6, "longitude_rad": 2.3, "height_m": 50.0}
+    more = {"time_ns": CLOCK.now_ns(), "fix_id": number, "covariance_enu_m2": None, **place}
+    gnss.publish("fix", Fix(origin="receiver", quality="fixed", **more))
