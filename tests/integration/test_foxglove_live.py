@@ -38,6 +38,7 @@ class Viewer:
         self.received: dict[str, list[tuple[int, bytes]]] = {}
         self.times_ns: list[int] = []
         self.url = url
+        self._subscribed_s = time.monotonic()
         self._connection = connect(url, subprotocols=["foxglove.sdk.v1"], open_timeout=10.0)
 
     def __enter__(self) -> Viewer:
@@ -48,6 +49,8 @@ class Viewer:
         self._connection.__exit__(None, None, None)
 
     def listen(self, seconds: float) -> None:
+        if time.monotonic() - self._subscribed_s > 1.0:
+            self._subscribe_again()
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0.0:
             try:
@@ -56,15 +59,29 @@ class Viewer:
                 return
             self._take(data)
 
+    def _subscribe(self, ids: list[int]) -> None:
+        self._subscribed_s = time.monotonic()
+        subscriptions = [{"id": number, "channelId": number} for number in ids]
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
+
+    def _subscribe_again(self) -> None:
+        """To silent topics: on a loaded machine foxglove-sdk 0.30.3 loses a subscription that comes at once.
+
+        It advertises a channel before its context knows it.
+        """
+        silent = [
+            number for number, channel in self.channels.items() if channel["topic"] not in self.received
+        ]
+        self._socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": silent}))
+        self._subscribe(silent)
+
     def _take(self, data: str | bytes) -> None:
         if isinstance(data, str):
             operation = json.loads(data)
             if operation["op"] == "advertise":
-                subscriptions = []
-                for channel in operation["channels"]:
-                    self.channels[channel["id"]] = channel
-                    subscriptions.append({"id": channel["id"], "channelId": channel["id"]})
-                self._socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
+                new = {channel["id"]: channel for channel in operation["channels"]}
+                self.channels |= new
+                self._subscribe(list(new))
         elif data[0] == 1:
             subscription, log_ns = struct.unpack_from("<IQ", data, 1)
             topic = self.channels[subscription]["topic"]
