@@ -36,7 +36,7 @@ class CauseRules:
     antenna is called a base; neither is learnt beyond the cap of 0.3 m.
 
     `wrong_integers_s`: a receiver of which 25 % of 8,365 fixes were wrong had episodes of up to two minutes. With
-    lengths of even probability in their logarithm from 1 to 120 s, 4 % are longer than this.
+    lengths of even probability in their logarithm from 1 to 120 s, 8 % are longer than this.
     """
 
     cell_m: float = 20.0
@@ -57,7 +57,7 @@ class CauseRules:
     again_s: float = 60.0
     link_cells: int = 2
     antenna_limit_m: float = 1.0
-    wrong_integers_s: float = 100.0
+    wrong_integers_s: float = 80.0
     independent: IndependentOffsetRules = field(default_factory=IndependentOffsetRules)
     fix_track: TrackFaultRules = field(default_factory=TrackFaultRules)
     map_errors: MapErrorModel = MAP_ERRORS

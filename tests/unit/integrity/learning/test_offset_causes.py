@@ -52,8 +52,8 @@ def test_a_base_metres_off_shows_within_ten_seconds_with_onset_and_value(causes)
 
 def test_a_base_is_reported_once_its_vector_has_lasted_longer_than_wrong_integers_do(causes):
     off = {"verdict": "unknown", "up_m": None, "east_m": 12.0, "north_m": -9.0}
-    assert update(causes, 600, 1500, **off).reported == "ambiguous"
-    result = update(causes, 1500, 1720, **off)
+    assert update(causes, 600, 1300, **off).reported == "ambiguous"
+    result = update(causes, 1300, 1520, **off)
     assert (result.cause, result.reported) == ("base", "base")
     assert result.text == "+12.00 m east, -9.00 m north: fixes are off by one vector"
     assert [news.reported for news in causes.news()] == ["ambiguous", "base"]
