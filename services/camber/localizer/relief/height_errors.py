@@ -33,9 +33,9 @@ class HeightErrorModel:
     fix_common_sigma_m: float = 0.015  # docs/theory/integrity.md: multipath of the phase, at least
     fix_common_time_s: float = 30.0  # chosen: reflections change within metres, and last at a standstill
 
-    def fix_common_m(self, fix_sigma_m: Floats) -> Floats:
-        """Return σ (n,) of f; no less than the white noise `fix_sigma_m` (n,): in streets both are larger."""
-        return np.maximum(self.fix_common_sigma_m, fix_sigma_m)
+    def fix_common_m(self, fix_sigma_m: Floats | float) -> Floats:
+        """Return σ of f; no less than the white noise `fix_sigma_m`, a number or (n,): in streets both are larger."""
+        return np.asarray(np.maximum(self.fix_common_sigma_m, fix_sigma_m), np.float64)
 
     def covariance(
         self,
