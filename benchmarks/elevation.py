@@ -101,6 +101,19 @@ class City:
             vertices=list(np.column_stack(vertices[:2]).reshape(-1, 2, 2)),
         )
 
+    def write(self, folder: Path) -> None:
+        """Its release."""
+        write_release(
+            folder,
+            region="city",
+            map_version=1,
+            datum="WGS84",
+            epoch_year=2024.5,
+            time_ns=MADE_NS,
+            surfaces=self.surfaces,
+            links=self.links,
+        )
+
     def plane_m(self, street: Integers, along_m: Floats, left_m: Floats) -> tuple[Floats, Floats]:
         """East and north of places on streets."""
         above, offset_m = street >= self.streets, street % self.streets * APART_M
@@ -332,14 +345,5 @@ def figures() -> list[Figure]:
     city = City()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "map"
-        write_release(
-            folder,
-            region="city",
-            map_version=1,
-            datum="WGS84",
-            epoch_year=2024.5,
-            time_ns=MADE_NS,
-            surfaces=city.surfaces,
-            links=city.links,
-        )
+        city.write(folder)
         return [*batches(city, folder), *single(city, folder), *over_the_bus(city, folder)]

@@ -31,7 +31,6 @@ from camber.formats.drive.recorder import Recorder
 from camber.formats.drive.recording import load_recording
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.live.history import HOUR_ROWS
-from camber.road_map.release import write_release
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.schemas.base import Message
@@ -209,17 +208,7 @@ class PublishingVehicle:
 
 def write_city(folder: Path) -> Path:
     """The release of a million surfaces."""
-    city = City(STREETS, SURFACES)
-    write_release(
-        folder,
-        region="city",
-        map_version=1,
-        datum="WGS84",
-        epoch_year=2024.5,
-        time_ns=MADE_NS,
-        surfaces=city.surfaces,
-        links=city.links,
-    )
+    City(STREETS, SURFACES).write(folder)
     return folder
 
 
