@@ -186,6 +186,8 @@ def _listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if sys.platform == "linux":  # RFC 5482; a close by the keepalive waits for a browser that reads nothing
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(2 * _PING_S * 1000))
     try:
         listening.bind((host, port))
         listening.listen()  # who opens the page as soon as its address is printed waits, and is not refused

@@ -47,6 +47,7 @@ _BROWSERS = 128  # chosen: more than anybody opens; each costs a socket and a me
 _SHARED = 8  # batches kept for browsers that stand at the same place
 _TILE_TYPE = "application/vnd.mapbox-vector-tile"
 _BUSY = 1013  # RFC 6455 and its registry: try again later
+_BROKEN = 1006  # RFC 6455, section 7.4.1: closed without a close frame
 
 
 @dataclass(kw_only=True)
@@ -209,7 +210,7 @@ async def _serve(state: LiveState, websocket: WebSocket) -> None:
     state.browsers += 1
     ended = asyncio.create_task(_until_closed(websocket))
     try:
-        await websocket.send_text(json.dumps(state.greeting()))
+        await _put(websocket, json.dumps(state.greeting()))
         await _send(state, websocket, ended)
     except WebSocketDisconnect:
         pass
@@ -223,23 +224,31 @@ async def _send(state: LiveState, websocket: WebSocket, ended: asyncio.Task[None
     while not ended.done():
         data, cursor = state.batch(cursor)
         if data is not None:
-            await websocket.send_bytes(data)
+            await _put(websocket, data)
         fleet, number = state.fleet(number)
         if fleet is not None:
-            await websocket.send_text(fleet)
+            await _put(websocket, fleet)
         changes, changes_number = state.map_changes(changes_number)
         if changes is not None:
-            await websocket.send_text(changes)
+            await _put(websocket, changes)
         newest = state.status_text()
         if newest != status:
             status = newest
-            await websocket.send_text(status)
+            await _put(websocket, status)
         lacks_rows = cursor.rows != state.history.cursor().rows
         if data is not None and lacks_rows:
             wait_s = 0.0
         else:
             wait_s = _LOOK_S if data is None and fleet is None else PERIOD_S - _LOOK_S
         await asyncio.wait({ended}, timeout=wait_s)
+
+
+async def _put(websocket: WebSocket, data: str | bytes) -> None:
+    try:
+        await (websocket.send_text(data) if isinstance(data, str) else websocket.send_bytes(data))
+    except RuntimeError as error:
+        # uvicorn, once its keepalive has closed a connection whose buffer the browser has not read to its end.
+        raise WebSocketDisconnect(_BROKEN) from error
 
 
 async def _until_closed(websocket: WebSocket) -> None:
