@@ -474,6 +474,10 @@ class Listening(Learning):
         self.latest.append(residual)
 
 
+def test_inputs_are_of_the_services_that_are_alive():
+    assert judge_with(poses=[pose()]).inputs(at(0), frozenset({"localizer"})).alive == {"localizer"}
+
+
 def test_learning_gets_the_difference_without_correction_of_every_compared_fix():
     learning = Listening()
     judged(fix(up_m=0.1, east_m=0.05), learning=learning, the_pose=pose(provenance="scan_match"))
@@ -535,6 +539,17 @@ def test_of_a_fix_that_is_not_where_the_vehicle_is_it_gets_the_place_only():
     assert learning.latest[0].verdict == "erroneous"
     assert learning.latest[0].east_m == pytest.approx(3.0, abs=1e-3)
     assert learning.latest[0].up_m is None
+
+
+def test_of_a_fix_that_was_not_compared_it_gets_the_independent_position_the_antenna_and_the_speed():
+    learning = Listening()
+    there = pose(road=no_road(), independent=independent(basis="relief"))
+    judge = judge_with(poses=[there], antenna_height=antenna(), learning=learning)
+    judge.latest.add_wheel_speed(at(0), 8.0)
+    assert judge.judge(fix(), at(0), ALL).comparison is None
+    (residual,) = learning.latest
+    assert (residual.key.antenna, residual.speed_m_s) == ("fixed", 8.0)
+    assert residual.known_independent is not None
 
 
 def test_where_nothing_was_compared_it_gets_nothing():
