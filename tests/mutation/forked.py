@@ -2,8 +2,8 @@
 
 mutmut collects the tests anew for each mutant, which takes longer than the tests. Here the collection is forked, and
 each fork runs the tests that call the changed function up to the first that fails: those that noticed other changes
-of it first, then the quickest. What is called while a test module is imported has been called before: so mutmut itself
-has the last word on what no test noticed.
+of it first, then the quickest. What is called while a test module is imported has been called before: so what no test
+noticed is tried once more in a process of its own.
 """
 
 from __future__ import annotations
