@@ -229,6 +229,17 @@ def test_of_another_antenna_nothing_is_known(learnt):
     assert learnt.correction(replace(KEY, antenna="fixed")) == Correction()
 
 
+def test_causes_get_the_sigma_of_the_correction_and_before_one_is_learnt_that_of_the_survey(
+    learnt, monkeypatch
+):
+    known_m, sigmas_m = learnt.correction(KEY).sigma_m, []
+    for learning in (Learning(RULES), learnt):
+        monkeypatch.setattr(learning.causes, "update", lambda _, __, sigma_m: sigmas_m.append(sigma_m))
+        learning.update(residual(0))
+    assert sigmas_m == [RULES.map_errors.common_offset_sigma_m, known_m]
+    assert known_m < 0.7 * RULES.map_errors.common_offset_sigma_m
+
+
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
 def test_with_another_base_or_map_the_antennas_part_stays_and_is_less_sure(learnt, changes):
     known, other = learnt.correction(KEY), learnt.correction(replace(KEY, **changes))
