@@ -27,7 +27,7 @@ from figure import Figure, lower
 from judge import simulated
 from websockets.sync.client import connect
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.formats.drive.recording import load_recording
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.live.history import HOUR_ROWS

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.formats.drive.recording import Recorded, RecordingError, read_recording
 from camber.runtime.subscription import Subscription
 from camber.schemas.codec import encode

@@ -35,7 +35,7 @@ from camber.simulator.random_streams import stream
 from camber.validation.baselines import height_differences_m
 from camber.validation.common_faults.fix_series import STREET
 from camber.validation.common_faults.wrong_episodes import WrongEpisodes, wrong_episodes
-from camber.validation.protection import positions_by_epoch
+from camber.validation.protection_level_statistics import positions_by_epoch
 from camber.validation.reference_trajectory import truth_of
 from support.boreas_localization import BOTH_DAYS, FRAME, ORIGIN_M, START_NS
 from support.boreas_relief import MAP_SIGMA_M, folder

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.relief_start import MAX_PRIOR_SHARE, PRIOR_SIGMA_M
 from camber.localizer.relief.terrain import TerrainHeights
-from camber.localizer.relief.window_estimate import HeightWindow, ShiftEstimate, estimate_shift
+from camber.localizer.relief.terrain_contour_matching import HeightWindow, ShiftEstimate, estimate_shift
 
 Floats = NDArray[np.float64]
 DAYS = ("2021-08-05", "2021-09-02")

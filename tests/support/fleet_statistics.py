@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from camber.map_update.fusion.pipeline import Fusion
-from camber.map_update.fusion.publication import REASONS, Decisions
+from camber.map_update.fusion.publication_decision import REASONS, Decisions
 from camber.map_update.fusion.votes import SAMPLES, Votes, merge_votes, session_of, vote_values
 from camber.road_map.height_interpolation import SurfaceHeights
 from support.fleet_votes import DAY_NS, FleetWorld, Record, fusion_of, record_of, votes_of, world_of

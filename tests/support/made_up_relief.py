@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.terrain import TerrainHeights
-from camber.localizer.relief.window_estimate import HeightWindow
+from camber.localizer.relief.terrain_contour_matching import HeightWindow
 
 Floats = NDArray[np.float64]
 

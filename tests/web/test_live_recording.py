@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.replay.short_drive import START_NS, write_short_drive
 from camber.schemas.base import Message
 from camber.schemas.codec import encode

@@ -16,7 +16,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.replay.short_drive import START_NS
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server import road_selection as codes
 from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
+from camber.map_server.road_level_selection import Topology, select_surface
 from camber.map_server.road_selection import (
     PointColumns,
     SelectedRoads,
@@ -21,7 +22,6 @@ from camber.map_server.road_selection import (
 )
 from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
-from camber.map_server.topology import Topology, select_surface
 from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile

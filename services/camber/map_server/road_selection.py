@@ -1,4 +1,4 @@
-"""Compiled selection of the road under each of many points of a tile, as `topology.select_surface` for one point."""
+"""Compiled selection of the road under each of many points of a tile; for one point `road_level_selection` does it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
+from camber.map_server.road_level_selection import TIE_M, Topology
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
-from camber.map_server.topology import TIE_M, Topology
 from camber.road_map.height_interpolation import grid_plane
 
 Floats = NDArray[np.float64]

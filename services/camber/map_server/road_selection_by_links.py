@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
+from camber.map_server.road_level_selection import TIE_M
 from camber.map_server.road_selection import (
     KNOWN,
     LEVELS_AMBIGUOUS,
@@ -23,7 +24,6 @@ from camber.map_server.road_selection import (
     SelectedRoads,
 )
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
-from camber.map_server.topology import TIE_M
 from camber.road_map.height_interpolation import grid_plane
 
 Floats = NDArray[np.float64]

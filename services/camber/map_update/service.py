@@ -14,7 +14,7 @@ from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.admission import check, check_vehicle
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion.pipeline import Fusion
-from camber.map_update.fusion.publication import DECISIONS, REASONS
+from camber.map_update.fusion.publication_decision import DECISIONS, REASONS
 from camber.map_update.fusion.votes import check_secret
 from camber.map_update.queue.queue_messages import QueuedContribution, QueueError
 from camber.map_update.release.fusion_cycle import FusionCycle, FusionDecision, IngestResult

@@ -10,7 +10,7 @@ import numpy as np
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES
 from camber.map_update.fusion.pipeline import Fusion
-from camber.map_update.fusion.publication import Decisions
+from camber.map_update.fusion.publication_decision import Decisions
 from camber.map_update.fusion.votes import merge_votes
 from camber.road_map.road_columns import flat_road
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any, Self
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.formats.foxglove.drawings import log
 from camber.replay.run_folder import RunFolder
 from camber.road_map.road_columns import RoadLinks

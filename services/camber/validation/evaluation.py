@@ -24,7 +24,7 @@ from camber.validation.fix_statistics import (
 )
 from camber.validation.judged_fixes import CONFIRMED_VERDICTS, JudgedFix, pair_fixes_with_verdicts
 from camber.validation.localization_columns import LocalizerRecord
-from camber.validation.protection import (
+from camber.validation.protection_level_statistics import (
     Positions,
     availability,
     coverage,

@@ -11,7 +11,7 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from camber.map_server.release_download import ReleaseDownload
-from camber.map_update.fusion.publication import DECISION, DECISIONS, Decisions
+from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, Decisions
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import open_release, read_release
 from camber.road_map.store import MapStore

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.schemas.codec import encode
 from camber.schemas.fleet import ReleaseHead
 from camber.schemas.motion import Motion

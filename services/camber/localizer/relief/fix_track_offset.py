@@ -17,7 +17,7 @@ import numpy as np
 from camber.localizer.arrays import Floats
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
-from camber.localizer.relief.window_estimate import HeightWindow, ShiftEstimate, estimate_shift
+from camber.localizer.relief.terrain_contour_matching import HeightWindow, ShiftEstimate, estimate_shift
 
 _PRIOR_SIGMA_M: Final = 8.0  # chosen: larger vectors show against the independent position
 _PRIOR_GROWTH_M_S: Final = 0.2  # chosen: what grows faster leaves the path of odometry within 20 s

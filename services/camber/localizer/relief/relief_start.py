@@ -22,8 +22,8 @@ from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import TrackPoint
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
+from camber.localizer.relief.terrain_contour_matching import HeightWindow, estimate_shift
 from camber.localizer.relief.track_errors import track_error_modes
-from camber.localizer.relief.window_estimate import HeightWindow, estimate_shift
 
 MAX_PRIOR_SHARE: Final = 0.02  # chosen: see above
 PRIOR_SIGMA_M: Final = 20.0  # chosen: a base coordinate, or positions led away, before the heights show it

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from camber.map_update.fusion.publication import Decisions, PublicationSettings, decide
+from camber.map_update.fusion.publication_decision import Decisions, PublicationSettings, decide
 from camber.map_update.fusion.robust_surface_heights import VoteColumns, estimate_heights
 from camber.map_update.fusion.surface_neighbours import build_neighbourhood
 from camber.map_update.fusion.surface_shape import shape_spread, shape_variance_m2

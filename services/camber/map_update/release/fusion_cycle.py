@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
-from camber.map_update.fusion.publication import Decisions
+from camber.map_update.fusion.publication_decision import Decisions
 from camber.map_update.fusion.votes import merge_votes
 from camber.map_update.release.map_changes import map_changes
 from camber.map_update.release.release_builder import ReleaseBuilder

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.map_update.fusion.correction_rows import Corrections
-from camber.map_update.fusion.publication import REASONS, Decisions
+from camber.map_update.fusion.publication_decision import REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
 from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.map_update.fusion.correction_rows import Corrections
-from camber.map_update.fusion.publication import DECISIONS, REASONS, Decisions
+from camber.map_update.fusion.publication_decision import DECISIONS, REASONS, Decisions
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.elevation_queries import ElevationMap
 from camber.road_map.map_error_model import MAP_ERRORS

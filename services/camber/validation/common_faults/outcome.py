@@ -15,7 +15,7 @@ from camber.schemas.integrity import Position, Verdict
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.common_faults.fault_cases import CommonFault
 from camber.validation.common_faults.independent_figures import independent_figures
-from camber.validation.protection import positions_by_epoch
+from camber.validation.protection_level_statistics import positions_by_epoch
 from camber.validation.reference_trajectory import truth_of
 
 NAMES = frozenset({"base", "drift"})

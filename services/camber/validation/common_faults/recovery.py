@@ -14,7 +14,7 @@ from camber.schemas.integrity import Verdict
 from camber.schemas.pose import Pose
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.common_faults.wrong_episodes import WrongEpisodes
-from camber.validation.protection import availability, positions_by_epoch
+from camber.validation.protection_level_statistics import availability, positions_by_epoch
 from camber.validation.reference_trajectory import truth_of
 
 CAPTURED_M = 0.5

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.formats.drive.recording import (
     Recorded,
     RecordingError,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camber.map_update.fusion.correction_rows import CORRECTION
-from camber.map_update.fusion.publication import ALARM, DECISION, DECISIONS, REASONS, Decisions
+from camber.map_update.fusion.publication_decision import ALARM, DECISION, DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
 from camber.map_update.release import map_changes as module
 from camber.map_update.release.map_changes import map_changes

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_update.fusion.publication import DECISION, DECISIONS, REASONS, Decision, Decisions
+from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, REASONS, Decision, Decisions
 from camber.map_update.release.review import ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
 from support.small_map import MADE_NS

@@ -22,7 +22,7 @@ from camber.validation.evidence.faults import (
     named_until_ns,
 )
 from camber.validation.evidence.simulated_drives import BLOCK_S, block_counts, stacked_blocks
-from camber.validation.protection import Positions
+from camber.validation.protection_level_statistics import Positions
 
 NS = 1_000_000_000
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.live.rows import TERMS
 from camber.replay.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.schemas.base import Message

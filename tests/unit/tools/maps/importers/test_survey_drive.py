@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.drive.recorder import Recorder
+from camber.formats.drive.mcap_recorder import Recorder
 from camber.formats.drive.truth_csv import TruthTable, write_truth
 from camber.formats.map_exchange.argoverse import read_log
 from camber.geodesy.local_frame import LocalFrame

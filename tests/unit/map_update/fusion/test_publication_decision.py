@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from camber.map_update.fusion.publication import (
+from camber.map_update.fusion.publication_decision import (
     DECISIONS,
     REASONS,
     Decisions,

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.terrain import TerrainHeights
+from camber.localizer.relief.terrain_contour_matching import HeightWindow, estimate_shift, prior_share
 from camber.localizer.relief.track_errors import track_error_modes
-from camber.localizer.relief.window_estimate import HeightWindow, estimate_shift, prior_share
 from support.made_up_relief import drive, flat, hills
 
 Floats = NDArray[np.float64]
