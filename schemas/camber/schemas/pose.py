@@ -122,6 +122,10 @@ class FixesOffset(Model):
     covariance_east_north: Covariance2 = Field(description="(ee, en, nn) in m²")
     growth_east_north_m_s: Offset2 = Field(description="of the offset within the window")
     growth_covariance_east_north: Covariance2 = Field(description="(ee, en, nn) in m²/s²")
+    steps: Count = Field(
+        0,
+        description="of the fixes since the window, by which the offset was moved; above 0 it is no estimate anew",
+    )
 
 
 class Pose(Message):

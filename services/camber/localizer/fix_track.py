@@ -11,6 +11,7 @@ from typing import Final
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.track import RelativeTrack
 from camber.localizer.local_plane import LocalPlane
+from camber.localizer.relief.fix_step_detection import FixStep
 from camber.localizer.relief.fix_track_offset import FixTrackOffset, FixTrackOffsets, TrackHeight
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane
@@ -42,10 +43,13 @@ class FixTrack:
         slopes = road.slope_east, road.slope_north
         self._offsets.add_road(RibbonPlane(*place_m, road.elevation_m, road.sigma_m or 0.0, *slopes))
 
-    def forget_fixes(self) -> None:
-        """Begin anew: the next fixes are of other integers or of another base, and are off by another vector."""
-        self.offset = None
+    def on_step(self, step: FixStep, time_ns: int) -> None:
+        """Begin anew: the next fixes are of other integers or of another base, and are off by another vector.
+
+        Until their own heights show it, it is the one before and what they have moved by.
+        """
         self._offsets.forget_fixes(stepped=True)
+        self.offset = None if self.offset is None else _after_step(self.offset, step, time_ns)
 
     def on_fix(self, fix: Fix, track: RelativeTrack, road: Road) -> None:
         """Take a fix; `road` is the newest one below the pose."""
@@ -80,6 +84,21 @@ def _message(result: FixTrackOffset) -> FixesOffset:
         covariance_east_north=_upper(result.covariance_m2),
         growth_east_north_m_s=(east_m_s, north_m_s),
         growth_covariance_east_north=_upper(result.growth_covariance),
+    )
+
+
+def _after_step(offset: FixesOffset, step: FixStep, time_ns: int) -> FixesOffset | None:
+    if step.east_north_m is None:
+        return None
+    (east_m, north_m), (step_east_m, step_north_m) = offset.east_north_m, step.east_north_m
+    ee, en, nn = offset.covariance_east_north
+    return offset.model_copy(
+        update={
+            "end_time_ns": time_ns,
+            "east_north_m": (east_m + step_east_m, north_m + step_north_m),
+            "covariance_east_north": (ee + step.variance_m2, en, nn + step.variance_m2),
+            "steps": offset.steps + 1,
+        }
     )
 
 

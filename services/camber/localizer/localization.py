@@ -149,10 +149,11 @@ class Localization:
         if self._relief is None or self._fix_track is None:
             return
         track, road = self._filter.track, self._road.last
-        if self._fix_steps.is_step(fix, track.at(fix.time_ns), road):
+        step = self._fix_steps.step(fix, track.at(fix.time_ns), road)
+        if step is not None:
             self._diagnostics.count("relief.fix_steps")
             self._relief.forget_offset()
-            self._fix_track.forget_fixes()
+            self._fix_track.on_step(step, fix.time_ns)
         self._relief.on_fix(fix, self._filter)
         self._fix_track.on_fix(fix, track, road)
 

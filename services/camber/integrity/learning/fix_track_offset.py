@@ -5,7 +5,10 @@ that grows. No odometry is in it, so that it shows smaller vectors than the inde
 `least_chi2` that `least_count` estimates in a row show is a fault. Over a window of T seconds, fixes that are led away
 since its begin, or later, are off by d on average and grow by at least 2 d / T; fixes of a base that is off do not
 grow. What the estimated growth is nearer to is named: that it is a fault is certain, which of both may change.
-Metres and seconds.
+
+Where the fixes step, by other integers, their offset is the one before and the step. It names nothing, as it is no new
+evidence, but a fault goes on only if what is left is as significant as what is named: otherwise the fixes have returned
+from wrong integers. Metres and seconds.
 """
 
 from __future__ import annotations
@@ -34,7 +37,10 @@ class TrackFaultRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedTrackOffset:
-    """Fix less true place over a window, and its growth in a second: east, north; covariances (ee, en, nn)."""
+    """Fix less true place over a window, and its growth in a second: east, north; covariances (ee, en, nn).
+
+    `is_estimate`: of the heights; else it is an earlier one, moved by steps of the fixes since.
+    """
 
     begin_ns: int
     end_ns: int
@@ -42,6 +48,7 @@ class JudgedTrackOffset:
     covariance_m2: _Covariance
     growth_m_s: _Vector
     growth_covariance: _Covariance
+    is_estimate: bool = True
 
     def chi2(self, common_sigma_m: float) -> float:
         """Of the offset, 2 degrees of freedom; zero where the covariance is none."""
@@ -83,9 +90,11 @@ class TrackFaults:
             return False
         self._end_ns = offset.end_ns
         chi2 = offset.chi2(self.rules.common_sigma_m)
-        self._shown = self._shown + 1 if chi2 >= self.rules.least_chi2 else 0
-        if self.fault is not None and chi2 < self.rules.ended_chi2:
-            self.fault = None
+        is_significant = chi2 >= self.rules.least_chi2
+        self._shown = self._shown + 1 if is_significant and offset.is_estimate else 0
+        ended = chi2 < self.rules.ended_chi2 if offset.is_estimate else not is_significant
+        if self.fault is not None:
+            self.fault = None if ended else self.fault if offset.is_estimate else offset
         if self._shown >= self.rules.least_count:
             self.fault = offset
         return True

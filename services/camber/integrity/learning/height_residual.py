@@ -126,6 +126,7 @@ def track_offset_of(offset: FixesOffset) -> JudgedTrackOffset:
         covariance_m2=offset.covariance_east_north,
         growth_m_s=offset.growth_east_north_m_s,
         growth_covariance=offset.growth_covariance_east_north,
+        is_estimate=offset.steps == 0,
     )
 
 

@@ -31,10 +31,33 @@ _LEAST_ROAD_SLOPE: Final = (
 )
 
 
+class FixStep(NamedTuple):
+    """What the fixes have moved by beyond the vehicle, east and north (m), and its variance in any direction (m²).
+
+    `east_north_m` None: of another base, or the direction of the driven track is not known.
+    """
+
+    east_north_m: tuple[float, float] | None
+    variance_m2: float = 0.0
+
+
 class _PlacedFix(NamedTuple):
     fix: Fix
     track: TrackPoint
     road_m: float | None
+
+
+class _Displacements(NamedTuple):
+    """From one fix to the next: that of the fixes, east and north, and that of the antenna in the track's frame (m)."""
+
+    shown_m: tuple[float, float]
+    moved_m: tuple[float, float]
+
+    @property
+    def turn_rad(self) -> float:
+        """The angle between both."""
+        (east_m, north_m), (x_m, y_m) = self
+        return math.atan2(north_m, east_m) - math.atan2(y_m, x_m)
 
 
 class FixStepDetection:
@@ -49,49 +72,66 @@ class FixStepDetection:
         self._direction_rad: float | None = None
         self._steps = 0
 
-    def is_step(self, fix: Fix, track: TrackPoint | None, road: Road) -> bool:
-        """Take a fix at a point of the driven track, with the newest road; return whether it is a step.
+    def step(self, fix: Fix, track: TrackPoint | None, road: Road) -> FixStep | None:
+        """Take a fix at a point of the driven track, with the newest road; return its step, None if it is none.
 
         The first fix is none, nor is one that cannot be compared because the motion is not known.
         """
         if track is None:
             self._last = self._direction_rad = None
-            return False
+            return None
         road_m = road.elevation_m if road.status == "known" else None
         last, self._last = self._last, _PlacedFix(fix, track, road_m)
         if last is None:
-            return False
+            return None
         if _base_of(fix) != _base_of(last.fix):
-            return True
-        is_step = _is_vertical_step(last, self._last) or self._is_horizontal_step(last, self._last)
-        self._steps = self._steps + 1 if is_step else 0
+            return FixStep(None)
+        displacements = self._displacements(last, self._last)
+        beyond = self._beyond(last, self._last, displacements)
+        if not _is_vertical_step(last, self._last) and not _is_beyond_errors(beyond):
+            self._steps = 0
+            self._follow(displacements)
+            return None
+        step = FixStep(None) if self._direction_rad is None else beyond
+        self._steps += 1
         if self._steps >= _LOST_AFTER:
             self._direction_rad, self._steps = None, 0
-        return is_step
+        return step
 
-    def _is_horizontal_step(self, last: _PlacedFix, this: _PlacedFix) -> bool:
-        """Whether the displacement is another one; if not, the direction is updated by it."""
-        moved = self._moved_m(last.track, this.track)
-        shown = east_north_between(
+    def _beyond(self, last: _PlacedFix, this: _PlacedFix, displacements: _Displacements) -> FixStep:
+        (shown_east_m, shown_north_m), moved_m = displacements
+        direction_rad = displacements.turn_rad if self._direction_rad is None else self._direction_rad
+        east_m, north_m = rotated(direction_rad, *moved_m)
+        late_rad = _TURN_SHARE * (this.track.yaw_rad - last.track.yaw_rad)
+        by_motion = _PATH_SHARE**2 + _DIRECTION_SIGMA_RAD**2 + late_rad**2
+        variance_m2 = (
+            _horizontal_m2(last.fix) + _horizontal_m2(this.fix) + by_motion * math.hypot(*moved_m) ** 2
+        )
+        return FixStep((shown_east_m - east_m, shown_north_m - north_m), variance_m2)
+
+    def _follow(self, displacements: _Displacements) -> None:
+        """Update the direction by a displacement that is long enough to have one."""
+        if min(math.hypot(*each) for each in displacements) < _LEAST_DIRECTION_M:
+            return
+        turn_rad = displacements.turn_rad
+        before_rad = turn_rad if self._direction_rad is None else self._direction_rad
+        self._direction_rad = before_rad + _DIRECTION_WEIGHT * wrap_pi(turn_rad - before_rad)
+
+    def _displacements(self, last: _PlacedFix, this: _PlacedFix) -> _Displacements:
+        shown_m = east_north_between(
             last.fix.latitude_rad, last.fix.longitude_rad, this.fix.latitude_rad, this.fix.longitude_rad
         )
-        turn_rad = math.atan2(shown[1], shown[0]) - math.atan2(moved[1], moved[0])
-        direction_rad = turn_rad if self._direction_rad is None else self._direction_rad
-        east_m, north_m = rotated(direction_rad, *moved)
-        off_m = math.hypot(shown[0] - east_m, shown[1] - north_m)
-        variance_m2 = _horizontal_m2(last.fix) + _horizontal_m2(this.fix)
-        late_rad = _TURN_SHARE * (this.track.yaw_rad - last.track.yaw_rad)
-        variance_m2 += (_PATH_SHARE**2 + _DIRECTION_SIGMA_RAD**2 + late_rad**2) * math.hypot(*moved) ** 2
-        if off_m > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(variance_m2)):
-            return True
-        if min(math.hypot(*moved), math.hypot(*shown)) >= _LEAST_DIRECTION_M:
-            self._direction_rad = direction_rad + _DIRECTION_WEIGHT * wrap_pi(turn_rad - direction_rad)
-        return False
+        return _Displacements(shown_m, self._moved_m(last.track, this.track))
 
     def _moved_m(self, last: TrackPoint, this: TrackPoint) -> tuple[float, float]:
         """What the antenna has moved by, in the track's frame."""
         now, then = rotated(this.yaw_rad, *self._lever_m), rotated(last.yaw_rad, *self._lever_m)
         return this.east_m - last.east_m + now[0] - then[0], this.north_m - last.north_m + now[1] - then[1]
+
+
+def _is_beyond_errors(step: FixStep) -> bool:
+    off_m = math.hypot(*(step.east_north_m or (0.0, 0.0)))
+    return off_m > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(step.variance_m2))
 
 
 def _is_vertical_step(last: _PlacedFix, this: _PlacedFix) -> bool:

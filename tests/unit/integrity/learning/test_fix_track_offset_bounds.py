@@ -86,6 +86,40 @@ def test_an_estimate_of_the_least_statistic_itself_is_a_fault_and_one_of_the_las
     assert faults.fault is None
 
 
+# --- steps of the fixes ----------------------------------------------------------------------------------------------
+
+
+def named(vector=(1.7, 0.0)):
+    faults = TrackFaults(RULES)
+    for end_s in (120, 130):
+        faults.update(offset(vector, end_s), "base")
+    assert faults.fault is not None
+    return faults
+
+
+@pytest.mark.parametrize(
+    ("left_m", "goes_on"), [((0.3, 0.4), False), ((1.0, 0.3), False), ((3.9, -2.0), True)]
+)
+def test_a_fault_goes_on_after_a_step_only_if_what_is_left_is_as_significant_as_what_is_named(
+    left_m, goes_on
+):
+    faults, left = named(), offset(left_m, 140, is_estimate=False)
+    assert faults.update(left, "base")
+    assert faults.fault == (left if goes_on else None)
+    chi2 = left.chi2(RULES.common_sigma_m)
+    assert (chi2 >= RULES.least_chi2) == goes_on
+    assert left_m != (1.0, 0.3) or chi2 > RULES.ended_chi2, "an estimate would not end it"
+
+
+def test_a_step_names_nothing_and_interrupts_what_estimates_show():
+    faults = TrackFaults(RULES)
+    for k, is_estimate in enumerate((True, False, False, True)):
+        faults.update(offset(end_s=120 + k, is_estimate=is_estimate), "base")
+        assert faults.fault is None
+    faults.update(offset(end_s=130), "base")
+    assert faults.fault is not None
+
+
 # --- as the cause of verdicts ------------------------------------------------------------------------------------
 
 

@@ -55,6 +55,9 @@ def test_it_has_what_the_heights_along_the_track_of_the_fixes_say():
     assert (of.begin_ns, of.end_ns, of.east_north_m) == (at(-90), at(2), (1.7, -0.2))
     assert (of.covariance_m2, of.growth_m_s) == ((0.04, 0.01, 0.09), (0.001, 0.002))
     assert of.growth_covariance == (1e-6, 0.0, 2e-6)
+    assert of.is_estimate
+    moved = offset.model_copy(update={"steps": 1})
+    assert not residual(pose=SEEN.model_copy(update={"fixes_offset": moved})).track_offset.is_estimate
     assert residual().track_offset is None
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.track import TrackPoint
-from camber.localizer.relief.fix_step_detection import FixStepDetection
+from camber.localizer.relief.fix_step_detection import FixStep, FixStepDetection
 from camber.schemas.gnss import Fix
 from support.judging import FRAME, fix, road
 
@@ -23,6 +23,12 @@ Offset = Callable[[float], tuple[float, float, float]]
 
 def steps_of(offset_m: Offset, *, base: Callable[[float], str] = lambda _: "1") -> list[float]:
     """Times (s) of the steps in 20 s of a curve uphill; the fixes are off by `offset_m` of the time."""
+    return [at_s for at_s, _ in timed_steps(offset_m, base=base)]
+
+
+def timed_steps(
+    offset_m: Offset, *, base: Callable[[float], str] = lambda _: "1"
+) -> list[tuple[float, FixStep]]:
     detection, steps = FixStepDetection(LEVER_M), []
     rng = np.random.default_rng(3)
     for k in range(100):
@@ -46,8 +52,9 @@ def steps_of(offset_m: Offset, *, base: Callable[[float], str] = lambda _: "1") 
             road_m + 1.8 + off[2] + noise[2],
             base(at_s),
         )
-        if detection.is_step(one, track, road(elevation_m=road_m)):
-            steps.append(round(at_s, 3))
+        step = detection.step(one, track, road(elevation_m=road_m))
+        if step is not None:
+            steps.append((round(at_s, 3), step))
     return steps
 
 
@@ -69,6 +76,21 @@ def test_a_curve_uphill_is_no_step() -> None:
 
 def test_fixes_that_are_led_away_slowly_are_no_step() -> None:
     assert steps_of(lambda at_s: (0.3 * at_s, 0.0, 0.0)) == []
+
+
+@pytest.mark.parametrize("off_m", [(1.6, -0.7, 2.0), (-12.0, 9.0, 0.0), (0.0, 0.1, 1.5)], ids=str)
+def test_a_step_has_the_vector_that_the_fixes_have_moved_by(off_m: tuple[float, float, float]) -> None:
+    steps = timed_steps(lambda at_s: off_m if 5.0 <= at_s < 9.0 else (0.0, 0.0, 0.0))
+    assert [at_s for at_s, _ in steps] == [5.0, 9.0]
+    for sign, (_, step) in zip((1.0, -1.0), steps, strict=True):
+        assert step.east_north_m is not None
+        error_m = np.subtract(step.east_north_m, (sign * off_m[0], sign * off_m[1]))
+        assert math.hypot(*error_m) < 3.0 * math.sqrt(step.variance_m2) < 0.3
+
+
+def test_of_another_base_the_vector_is_not_known() -> None:
+    ((_, step),) = timed_steps(lambda _: (0.0, 0.0, 0.0), base=lambda at_s: "1" if at_s < 9.0 else "2")
+    assert step.east_north_m is None
 
 
 @pytest.mark.parametrize("direction", range(8))
