@@ -20,8 +20,8 @@ from figure import Figure, higher, least_s, lower, per_call_us, percentiles
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
+from camber.map_server.batch_road_selection import SelectedRoads
 from camber.map_server.elevation_queries import ElevationMap
-from camber.map_server.road_selection import SelectedRoads
 from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.release import read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces

@@ -71,7 +71,9 @@ TOOL_GROUPS = {
         "feed": Command("camber.tools.record.feed", "feed a recorded drive live to running services"),
     },
     "security": {
-        "certs": Command("camber.tools.security.certs", "create a CA; issue, list and revoke certificates"),
+        "certs": Command(
+            "camber.tools.security.certificate_command", "create a CA; issue and revoke certificates"
+        ),
         "access": Command("camber.tools.security.access", "generate and check router access-control rules"),
     },
 }

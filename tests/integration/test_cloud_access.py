@@ -22,7 +22,7 @@ from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.tools.operate.doctor_connection_checks import check_bus
-from camber.tools.security.certificates import Authority
+from camber.tools.security.certificate_authority import Authority
 from support.fleet_routers import (
     Certificates,
     joined,

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from camber.runtime.session import BusError, open_session
-from camber.tools.security.certificates import Authority
+from camber.tools.security.certificate_authority import Authority
 from support.databases import PostgresServer, lasting_port, needs_postgres, running
 from support.fault_figures import LONG, measured
 from support.fleet_routers import HOST, make_certificates

@@ -20,7 +20,7 @@ from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from camber.schemas.fleet import UploadBatch, UploadReceipt
 from camber.tools.security import access
-from camber.tools.security.certificates import Authority
+from camber.tools.security.certificate_authority import Authority
 from support.fleet_routers import (
     HOST,
     Certificates,

@@ -15,7 +15,7 @@ import zenoh
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.tools.security import access
-from camber.tools.security.certificates import Authority, Kind
+from camber.tools.security.certificate_authority import Authority, Kind
 from support.running import camber_started, free_port, wait_until
 
 HOST = "127.0.0.1"
@@ -123,7 +123,7 @@ def unchecked(settings: ZenohSettings, *, mode: str = "client") -> Any:
 
     config = module._base(None)
     if settings.tls_certificate is not None:
-        from camber.runtime.tls import tls_table
+        from camber.runtime.tls_certificates import tls_table
 
         assert settings.tls_ca is not None
         assert settings.tls_key is not None

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from camber.tools.security.certificates import Authority
+from camber.tools.security.certificate_authority import Authority
 
 _STEP_S = 0.05
 

@@ -32,7 +32,7 @@ from camber.localizer.contradictions.path_comparison import (
     rotation,
     turned_left,
 )
-from camber.localizer.filter.dead_reckoning import BIAS_A, SCALE, WHEEL_LAG
+from camber.localizer.filter.dead_reckoning_time_update import BIAS_A, SCALE, WHEEL_LAG
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionModel, WheelOdometry
 from camber.localizer.filter.pose_model import PoseModel

@@ -21,8 +21,8 @@ from camber.gnss.candidates.engine_candidates import (
 )
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
 from camber.gnss.candidates.subset_agreement import subset_agreement
-from camber.gnss.observations.base_memory import BaseMemory, memory_as_text, memory_from_text
-from camber.gnss.observations.base_watch import BaseWatch
+from camber.gnss.observations.base_coordinate_history import BaseMemory, memory_as_text, memory_from_text
+from camber.gnss.observations.base_move_detection import BaseWatch
 from camber.gnss.observations.receiver_streams import Stream, StreamItem, StreamProtocol, StreamReader
 from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server import road_selection as codes
-from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
-from camber.map_server.road_level_selection import Topology, select_surface
-from camber.map_server.road_selection import (
+from camber.map_server import batch_road_selection as codes
+from camber.map_server.batch_road_selection import (
     PointColumns,
     SelectedRoads,
     empty_roads,
     select_roads,
     topologies,
 )
-from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
+from camber.map_server.batch_road_selection_by_links import restore_order, select_roads_by_links
+from camber.map_server.point_groups import group_rows, sort_by_tile, tile_numbers
+from camber.map_server.road_level_selection import Topology, select_surface
 from camber.map_server.tile_index import TileIndex
 from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason

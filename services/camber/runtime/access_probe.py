@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ZenohSettings
-from camber.runtime.tls import TlsError, certificate_name
+from camber.runtime.tls_certificates import TlsError, certificate_name
 
 Access = Literal["permitted", "denied"]
 _ECHO = re.compile(r"camber/v1/([^/*]+)/echo")

@@ -184,7 +184,7 @@ def _access_status(
 ) -> tuple[str, str | None]:
     """Return the status as text, and the endpoint that accepts us; only of the router that we are linked to."""
     from camber.runtime.access_probe import can_publish, denial_message
-    from camber.runtime.tls import TlsError, certificate_name, name_of
+    from camber.runtime.tls_certificates import TlsError, certificate_name, name_of
 
     several, problems = len(settings.connect) > 1, []
     for endpoint in settings.connect:
@@ -204,7 +204,7 @@ def _access_status(
 
 def _report_expiry(tls: dict[str, Any]) -> None:
     """Say each day which certificates end soon."""
-    from camber.runtime.tls import ends_soon
+    from camber.runtime.tls_certificates import ends_soon
 
     while True:
         for line in ends_soon(tls, datetime.now(UTC)):

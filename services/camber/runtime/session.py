@@ -40,7 +40,7 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     """
     config = _base(settings.config_file)
     if settings.tls_ca and settings.tls_certificate and settings.tls_key:
-        from camber.runtime.tls import tls_table
+        from camber.runtime.tls_certificates import tls_table
 
         table = tls_table(settings.tls_ca, settings.tls_certificate, settings.tls_key)
         _put(config, "transport/link/tls", table)
@@ -157,7 +157,7 @@ def _check_tls(config: zenoh.Config) -> None:
     if not table:
         return
     # Not for those on the loopback: it takes a while to load.
-    from camber.runtime.tls import TlsError, check_table
+    from camber.runtime.tls_certificates import TlsError, check_table
 
     try:
         check_table(table)

@@ -28,13 +28,12 @@ from camber.validation.protection_level_statistics import (
     Positions,
     availability,
     coverage,
-    levels_by_source,
     percentiles,
     positions_by_epoch,
-    stanford,
     usable_share,
 )
 from camber.validation.reference_trajectory import ReferenceTrajectory
+from camber.validation.stanford_chart import levels_by_source, stanford
 
 CHANNELS = ("motion", "fix", "verdict", "position", "pose", "scan_match", "antenna_height")
 """Channels of a recording that are evaluated."""

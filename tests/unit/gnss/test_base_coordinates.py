@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from camber.gnss.observations.base_memory import BaseMemory, memory_as_text, memory_from_text
+from camber.gnss.observations.base_coordinate_history import BaseMemory, memory_as_text, memory_from_text
 from camber.gnss.observations.base_offset import BaseOffset
 from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
@@ -122,7 +122,7 @@ def test_what_is_new_is_written_and_a_folder_that_cannot_be_is_reported(
 _WRITER = """
 import sys
 from pathlib import Path
-from camber.gnss.observations.base_memory import memory_as_text, memory_from_text
+from camber.gnss.observations.base_coordinate_history import memory_as_text, memory_from_text
 from camber.road_map.release_files import write_file
 path = Path(sys.argv[1])
 bases = memory_from_text(path.read_text("utf-8")).bases

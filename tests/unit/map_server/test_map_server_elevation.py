@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
+from camber.map_server.batch_road_selection import SelectedRoads
 from camber.map_server.elevation_queries import REASONS, ElevationMap
-from camber.map_server.road_selection import SelectedRoads
 from camber.road_map.road_tiles import link_tiles, surface_tiles
 from camber.road_map.tile_grid import tile_corners_rad
 from camber.schemas.pose import Road

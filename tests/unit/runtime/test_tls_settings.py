@@ -17,8 +17,15 @@ import pytest
 from camber.runtime import access_probe, router
 from camber.runtime.session import BusError, open_session, router_endpoints
 from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, to_toml
-from camber.runtime.tls import TlsError, certificate_name, check_table, ends_soon, name_of, tls_table
-from camber.tools.security.certificates import Authority
+from camber.runtime.tls_certificates import (
+    TlsError,
+    certificate_name,
+    check_table,
+    ends_soon,
+    name_of,
+    tls_table,
+)
+from camber.tools.security.certificate_authority import Authority
 
 TLS = 'tls_ca = "a.pem"\ntls_certificate = "b.pem"\ntls_key = "b.key"\n'
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from camber.formats.observations import Floats, ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.observations.base_memory import Move
+from camber.gnss.observations.base_coordinate_history import Move
 from camber.gnss.observations.base_offset import LARGEST_CHI2, BaseOffset, OffsetWindow, as_text, enu_rotation
 from camber.gnss.observations.cycle_slips import CycleSlipDetector
 from camber.gnss.observations.ephemeris_store import EphemerisStore

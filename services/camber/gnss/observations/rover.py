@@ -9,7 +9,7 @@ import numpy as np
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.gnss.candidates.engine_candidates import RecentEpochs
-from camber.gnss.observations.base_watch import BaseWatch
+from camber.gnss.observations.base_move_detection import BaseWatch
 from camber.gnss.observations.receiver_streams import DecodedItem, StationPosition, Stream
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution

@@ -7,7 +7,6 @@ used: the height must remain an independent check.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
@@ -21,6 +20,7 @@ from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, FAR, IMPRECISE, 
 from camber.gnss.observations.base_station import BaseStation
 from camber.gnss.observations.cycle_slips import CycleSlipDetector
 from camber.gnss.observations.differenced_observations import Noise, SingleDifferences
+from camber.gnss.observations.differential_age import base_use
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
 from camber.gnss.observations.signal_pairs import columns_of
@@ -158,7 +158,7 @@ class Engine:
         ephemeris = self.ephemerides.rows_at(rover.time_ns, single.satellite)
         self._warn_of_rover(single, ephemeris)
         base, base_ecef_m = self.base.epoch, self.base.position_ecef_m
-        reason, age_s = self._check_base(rover.time_ns)
+        reason, age_s = self._base_use(rover.time_ns)
         if reason is not None or base is None or base_ecef_m is None:
             return _single(single, velocity, reason or "no_base")
         start = prior.position_m if prior is not NO_PRIOR else single.approximate_ecef_m
@@ -198,26 +198,18 @@ class Engine:
             prior=prior,
         )
 
-    def _check_base(self, time_ns: int) -> tuple[str | None, float]:
+    def _base_use(self, time_ns: int) -> tuple[str | None, float]:
         """Reason why the base's epoch cannot be used, if so, and the correction age [s]."""
-        base = self.base
-        if base.epoch is None:
-            self.warnings["base_silent"] += 1
-            return "no_base", math.inf
-        if base.position_ecef_m is None:
-            self.warnings["base_position_missing"] += 1
-            return "no_base_position", math.inf
-        age_s = (time_ns - base.epoch.time_ns) * 1e-9
-        if not abs(age_s) <= self._settings.longest_base_age_s:
-            self.warnings["base_stale"] += 1
-            return "base_too_old", age_s
-        if base.coordinate(self.ephemerides, self.ionosphere) == "implausible":
-            self.warnings["base_position_wrong"] += 1
-            return "base_position_wrong", age_s
-        if base.move is not None:
-            self.warnings["base_moved"] += 1
-            return "base_moved", age_s
-        return None, age_s
+        use = base_use(
+            self.base,
+            time_ns,
+            self.ephemerides,
+            ionosphere=self.ionosphere,
+            longest_age_s=self._settings.longest_base_age_s,
+        )
+        if use.warning is not None:
+            self.warnings[use.warning] += 1
+        return use.reason, use.age_s
 
     def _warn_of_rover(self, single: SinglePoint, ephemeris: Integers) -> None:
         if (ephemeris < 0).any():

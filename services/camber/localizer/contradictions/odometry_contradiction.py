@@ -14,7 +14,7 @@ import numpy as np
 from camber.localizer.arrays import Floats
 from camber.localizer.contradictions.path_comparison import PathComparison, PathTest, PlacedPosition
 from camber.localizer.contradictions.sensor_bounds import SensorBounds, SensorFault
-from camber.localizer.filter.dead_reckoning import SCALE, YAW
+from camber.localizer.filter.dead_reckoning_time_update import SCALE, YAW
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionStep
 from camber.localizer.filter.planar_pose import rotated

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import (
+from camber.localizer.filter.dead_reckoning_time_update import (
     BIAS_A,
     BIAS_B,
     N_MOTION,

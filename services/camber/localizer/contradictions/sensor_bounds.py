@@ -15,7 +15,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import BIAS_A, BIAS_B, SCALE, TURN_GAIN
+from camber.localizer.filter.dead_reckoning_time_update import BIAS_A, BIAS_B, SCALE, TURN_GAIN
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionModel
 

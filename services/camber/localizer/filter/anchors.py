@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import EAST, NORTH, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import COMMON_EAST, COMMON_NORTH, FilterState, inverse_2x2
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_model import PoseModel

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import (
+from camber.localizer.filter.dead_reckoning_time_update import (
     BIAS_A,
     BIAS_B,
     N_MOTION,
@@ -36,8 +36,8 @@ _AGING: Final = np.arange(DEVIATION, N_STATES)
 
 
 class FilterState:
-    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning`), the states named here, `extra`
-    ones (zero and certain until their user sets them), then those of `link_offset_memory`."""
+    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning_time_update`), the states named here,
+    `extra` ones (zero and certain until their user sets them), then those of `link_offset_memory`."""
 
     def __init__(self, model: PoseModel, extra_states: int = 0) -> None:
         motion = model.motion

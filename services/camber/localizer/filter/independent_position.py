@@ -18,7 +18,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import EAST, NORTH, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.planar_pose import largest_variance, rotated
 from camber.localizer.filter.pose_estimate import PoseEstimate

@@ -3,8 +3,8 @@ test.
 
 Sources: CN101360971 (spec/link-filter.md); Kikuchi (TUMSAT), reliability index (spec/reliability-index.md). CN101360971
 takes the errors of `S = (alpha, c, r, phi)` for white. They are not: pose, lasting errors of the sensors
-(`dead_reckoning`) and the errors common to repeated observations (`link_coupling`, `yaw_rate_coupling`, `anchors`,
-`scan_match_update`) are states (`filter_state`), so that repetition does not make the covariance too small.
+(`dead_reckoning_time_update`) and the errors common to repeated observations (`link_coupling`, `yaw_rate_coupling`,
+`anchors`, `scan_match_update`) are states (`filter_state`), so that repetition does not make the covariance too small.
 
 A pose that rests on unconfirmed fixes alone is *provisional*: the sensors learn nothing from it, and once scan matches
 have shown where the vehicle is, the pose restarts from them and no longer depends on the fixes.
@@ -21,7 +21,7 @@ from camber.localizer.contradictions.path_comparison import PathTest, PlacedPosi
 from camber.localizer.contradictions.sensor_bounds import SensorFault
 from camber.localizer.filter.anchors import AnchorResult, Anchors, floored
 from camber.localizer.filter.consistent_match_sequence import MatchedPose
-from camber.localizer.filter.dead_reckoning import (
+from camber.localizer.filter.dead_reckoning_time_update import (
     BIAS_A,
     BIAS_B,
     EAST,

@@ -8,7 +8,7 @@ import numpy as np
 
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.consistent_match_sequence import MatchedPose
-from camber.localizer.filter.dead_reckoning import EAST, NORTH
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.heading_search import HeadingSearch, TrackedPosition
 from camber.localizer.filter.planar_pose import covariance_at_offset, largest_variance, rotated

@@ -22,7 +22,7 @@ import numpy as np
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.consistent_match_sequence import ConsistentMatchSequence, MatchedPose
-from camber.localizer.filter.dead_reckoning import EAST, NORTH, SCALE, WHEEL_LAG, WHEEL_SLIP, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, SCALE, WHEEL_LAG, WHEEL_SLIP, YAW
 from camber.localizer.filter.filter_state import MATCH_EAST, MATCH_NORTH, MATCH_YAW, FilterState
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_model import PoseModel

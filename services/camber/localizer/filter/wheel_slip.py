@@ -23,7 +23,7 @@ import math
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_SLIP, YAW
+from camber.localizer.filter.dead_reckoning_time_update import SCALE, WHEEL_SLIP, YAW
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionStep
 from camber.localizer.filter.pose_model import PoseModel

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from camber.localizer.filter.dead_reckoning import BIAS_B, SCALE, YAW
+from camber.localizer.filter.dead_reckoning_time_update import BIAS_B, SCALE, YAW
 from camber.localizer.filter.filter_state import YAW_0, FilterState
 from camber.localizer.filter.odometry import MotionStep, yaw_rate
 from camber.localizer.filter.pose_model import PoseModel

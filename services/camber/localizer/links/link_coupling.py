@@ -24,7 +24,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from camber.geodesy.angles import wrap_pi
-from camber.localizer.filter.dead_reckoning import EAST, NORTH, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import DEVIATION, LANE, SHIFT_EAST, SHIFT_NORTH, FilterState
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_matching import LinkId, LinkMatch

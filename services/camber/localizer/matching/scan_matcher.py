@@ -25,7 +25,7 @@ from camber.localizer.filter.scan_match_update import MatchUpdate
 from camber.localizer.independent_localization import IndependentLocalization
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_clouds.map_blocks import MapBlock, MapBlockOptions
-from camber.localizer.map_clouds.tile_loading import CloudTileLoader
+from camber.localizer.map_clouds.tile_scheduling import CloudTileLoader
 from camber.localizer.map_queries import Diagnostics, MapQueries
 from camber.localizer.matching.coarse_search import (
     FULL_RANGE,

@@ -18,7 +18,7 @@ from camber.runtime.access_probe import can_publish, denial_message
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryClient
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.tls import TlsError
+from camber.runtime.tls_certificates import TlsError
 from camber.tools.operate.doctor_machine_checks import Finding, not_checked, ok, problem
 from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess

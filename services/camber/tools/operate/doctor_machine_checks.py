@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from camber.geodesy.gps_time import gps_minus_utc_s
 from camber.runtime.clock import SystemClock
-from camber.runtime.tls import RENEW_BEFORE
+from camber.runtime.tls_certificates import RENEW_BEFORE
 
 State = Literal["ok", "problem", "not checked"]
 

@@ -22,12 +22,12 @@ from typing import get_args
 from camber.runtime.access_probe import BusError, can_publish, denial_message, name_in
 from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
-from camber.runtime.tls import TlsError, certificate_name, name_of
+from camber.runtime.tls_certificates import TlsError, certificate_name, name_of
 from camber.schemas.channels import CHANNELS
 from camber.tools.options.number_options import SECONDS
 from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.security.access_rules import INSIDE, AllowedMessage, Kind, Party, allowed_messages
-from camber.tools.security.certificates import Authority, CertsError, check_name
+from camber.tools.security.certificate_authority import Authority, CertsError, check_name
 from camber.tools.security.router_config import cloud_config, text_of, vehicle_config
 
 LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7448", "tcp/127.0.0.1:7447"

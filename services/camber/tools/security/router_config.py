@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from camber.runtime.tls import tls_table
+from camber.runtime.tls_certificates import tls_table
 from camber.tools.security.access_rules import Kind, Party, cloud_access_control, vehicle_access_control
 
 _SHORT_LIST = re.compile(r"\[[^\[\]{}]*\]")

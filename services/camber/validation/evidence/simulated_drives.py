@@ -14,7 +14,8 @@ from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
 from camber.validation.evidence.evaluated_drive import evaluate_drive
 from camber.validation.fix_statistics import Flags
-from camber.validation.protection_level_statistics import Positions, last_row_of_epochs, levels_by_source
+from camber.validation.protection_level_statistics import Positions, last_row_of_epochs
+from camber.validation.stanford_chart import levels_by_source
 
 MODES = ("rtk", "doppler", "sensors", "scan_match")
 LIMITS_M = (1.0, 1.5, 2.0)

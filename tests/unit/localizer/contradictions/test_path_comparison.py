@@ -13,7 +13,7 @@ from camber.localizer.contradictions.path_comparison import (
     SegmentOdometry,
     rotation,
 )
-from camber.localizer.filter.dead_reckoning import BIAS_A, N_MOTION, WHEEL_LAG, propagate
+from camber.localizer.filter.dead_reckoning_time_update import BIAS_A, N_MOTION, WHEEL_LAG, propagate
 from camber.localizer.filter.odometry import WheelOdometry, yaw_rate
 from camber.localizer.filter.pose_filter import PoseFilter
 from support import odometry_detectability as detectability

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.localizer.contradictions.sensor_bounds import SensorBounds
-from camber.localizer.filter.dead_reckoning import BIAS_A, SCALE, TURN_GAIN
+from camber.localizer.filter.dead_reckoning_time_update import BIAS_A, SCALE, TURN_GAIN
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionModel
 from camber.localizer.filter.pose_filter import PoseFilter

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from camber.localizer.filter.dead_reckoning import (
+from camber.localizer.filter.dead_reckoning_time_update import (
     BIAS_A,
     EAST,
     N_MOTION,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.localizer.filter.dead_reckoning import EAST, NORTH
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH
 from camber.localizer.filter.independent_position import IndependentPoseFilter
 from camber.schemas.motion import Motion
 from support.pose_inputs import line_through, link_match, sample, start_pose

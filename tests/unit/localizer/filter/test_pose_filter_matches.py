@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from camber.localizer.filter.dead_reckoning import SCALE
+from camber.localizer.filter.dead_reckoning_time_update import SCALE
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.start_from_fixes import StartFromFixes

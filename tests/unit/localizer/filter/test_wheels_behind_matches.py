@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG
+from camber.localizer.filter.dead_reckoning_time_update import SCALE, WHEEL_LAG
 from camber.localizer.filter.odometry import MotionModel
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.filter.pose_model import PoseModel

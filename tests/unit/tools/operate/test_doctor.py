@@ -35,7 +35,7 @@ from camber.tools.operate.doctor_machine_checks import (
     check_clock,
     check_folder,
 )
-from camber.tools.security.certificates import Authority
+from camber.tools.security.certificate_authority import Authority
 from support.release_world import KEY
 from support.running import free_port
 from support.small_map import surface, write

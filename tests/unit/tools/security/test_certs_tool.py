@@ -16,9 +16,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from cryptography.x509.verification import PolicyBuilder, Store
 
 from camber.runtime.session import router_endpoints
-from camber.runtime.tls import check_table
-from camber.tools.security import access, certs
-from camber.tools.security.certificates import Authority, IssuedCertificate, common_name, read_certificate
+from camber.runtime.tls_certificates import check_table
+from camber.tools.security import access, certificate_command
+from camber.tools.security.certificate_authority import (
+    Authority,
+    IssuedCertificate,
+    common_name,
+    read_certificate,
+)
 from support.refusals import Refused
 
 
@@ -27,16 +32,16 @@ def folder(tmp_path: Path) -> Path:
     made = tmp_path / "pki"
     arguments = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
     arguments += ["--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]
-    assert certs.main(arguments) == 0
+    assert certificate_command.main(arguments) == 0
     return made
 
 
 def revoke(folder: Path, name: str) -> None:
-    assert certs.main(["revoke", str(folder), name]) == 0
+    assert certificate_command.main(["revoke", str(folder), name]) == 0
 
 
 def issue(folder: Path, name: str, kind: str = "vehicle", *more: str) -> None:
-    assert certs.main(["issue", str(folder), name, "--kind", kind, *more]) == 0
+    assert certificate_command.main(["issue", str(folder), name, "--kind", kind, *more]) == 0
 
 
 def vehicles_in(folder: Path, out: Path) -> set[str]:
@@ -73,8 +78,8 @@ def test_strict_verifiers_take_them(folder: Path) -> None:
 
 def test_nothing_is_overwritten(folder: Path, refused: Refused) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert "ca.key: there is one already" in refused(certs.main, "make", folder, "--host", "x")
-    assert "--renew" in refused(certs.main, "issue", folder, "car-1", "--kind", "vehicle")
+    assert "ca.key: there is one already" in refused(certificate_command.main, "make", folder, "--host", "x")
+    assert "--renew" in refused(certificate_command.main, "issue", folder, "car-1", "--kind", "vehicle")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -162,7 +167,7 @@ def test_a_revoked_name_cannot_be_listed_by_hand(
 
 def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
-    assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
+    assert certificate_command.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
     output = capsys.readouterr().out
     assert "who    cloud (client and server)" in output
     assert "by     Camber development" in output
@@ -174,9 +179,9 @@ def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFi
 def test_show_and_list_say_what_has_expired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     past = datetime.now(UTC) - timedelta(days=3)
     Authority(folder).issue("late", "vehicle", days=1, now=past)
-    assert certs.main(["show", str(folder / "late.pem")]) == 1
+    assert certificate_command.main(["show", str(folder / "late.pem")]) == 1
     assert "EXPIRED" in capsys.readouterr().out
-    assert certs.main(["list", str(folder)]) == 0
+    assert certificate_command.main(["list", str(folder)]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert listed[1].split()[:4] == ["ca", "authority", "Camber", "development"]
     assert "EXPIRED" not in listed[1]
@@ -193,14 +198,16 @@ def test_a_certificate_does_not_outlive_its_authority(tmp_path: Path) -> None:
 
 def test_an_authority_that_has_expired_signs_nothing(tmp_path: Path, refused: Refused) -> None:
     Authority.make(tmp_path, name="over", days=1, now=datetime.now(UTC) - timedelta(days=2))
-    assert "ca.pem: expired" in refused(certs.main, "issue", tmp_path, "car-1", "--kind", "vehicle")
+    assert "ca.pem: expired" in refused(
+        certificate_command.main, "issue", tmp_path, "car-1", "--kind", "vehicle"
+    )
     assert Authority(tmp_path).issued() == []
 
 
 @pytest.mark.parametrize("end", ["key", "pem"])
 def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
     (folder / f"car-3.{end}").write_text("somebody else's")
-    assert certs.main(["issue", str(folder), "car-3", "--kind", "vehicle"]) == 2
+    assert certificate_command.main(["issue", str(folder), "car-3", "--kind", "vehicle"]) == 2
     assert "car-3" not in {row.name for row in Authority(folder).issued()}
     assert (folder / f"car-3.{end}").read_text() == "somebody else's"
 
@@ -225,14 +232,14 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
 def test_what_cannot_be_done_is_one_line(
     folder: Path, arguments: list[str], why: str, refused: Refused
 ) -> None:
-    assert why in refused(certs.main, arguments[0], folder, *arguments[1:])
+    assert why in refused(certificate_command.main, arguments[0], folder, *arguments[1:])
 
 
 def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [path.read_text().splitlines()[1] for path in folder.glob("*.key")]
-    certs.main(["show", str(folder / "car-1.key")])
-    certs.main(["show", *map(str, folder.glob("*.pem"))])
-    certs.main(["list", str(folder)])
+    certificate_command.main(["show", str(folder / "car-1.key")])
+    certificate_command.main(["show", *map(str, folder.glob("*.pem"))])
+    certificate_command.main(["list", str(folder)])
     output = capsys.readouterr()
     assert "car-1.key: not a certificate in PEM" in output.err
     assert not [line for line in lines if line in output.out + output.err]
@@ -242,7 +249,7 @@ def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
     hosts = ["localhost", "map_update", "cloud.example", "*.cloud.example", "xn--wlkchen-b1a.example"]
     hosts += ["::1", "7.b"]
     arguments = [argument for host in hosts for argument in ("--host", host)]
-    assert certs.main(["make", str(tmp_path / "pki"), *arguments]) == 0
+    assert certificate_command.main(["make", str(tmp_path / "pki"), *arguments]) == 0
     assert list(map(str, hosts_in(tmp_path / "pki"))) == hosts
 
 
@@ -260,7 +267,7 @@ def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_li
     Authority(folder)._save([*Authority(folder).issued(), row])
     issue(folder, name, "vehicle", "--renew")
     revoke(folder, name)
-    line = refused(certs.main, "issue", folder, name, "--kind", "vehicle")
+    line = refused(certificate_command.main, "issue", folder, name, "--kind", "vehicle")
     assert line == f"camber certs: {name}: 64 characters, expected at most 60"
 
 
@@ -280,7 +287,9 @@ def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_li
 def test_no_half_of_an_authority_is_made(
     tmp_path: Path, arguments: list[str], why: str, refused: Refused
 ) -> None:
-    assert why in refused(certs.main, "make", tmp_path / "pki", "--host", "cloud.example", *arguments)
+    assert why in refused(
+        certificate_command.main, "make", tmp_path / "pki", "--host", "cloud.example", *arguments
+    )
     assert not (tmp_path / "pki").exists()
 
 
@@ -328,7 +337,9 @@ def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", cut)
         with pytest.raises(KeyboardInterrupt):
-            certs.main(["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"])
+            certificate_command.main(
+                ["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"]
+            )
     issue(folder, "car-5")
     key = load_pem_private_key((folder / "car-1.key").read_bytes(), password=None)
     assert key.public_key() == read_certificate(folder / "car-1.pem").public_key()
@@ -337,6 +348,6 @@ def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next
 
 
 def test_no_lock_is_left_in_a_folder_that_is_no_authority_s(tmp_path: Path) -> None:
-    assert certs.main(["revoke", str(tmp_path), "car-1"]) == 2
-    assert certs.main(["issue", str(tmp_path), "car-1", "--kind", "vehicle"]) == 2
+    assert certificate_command.main(["revoke", str(tmp_path), "car-1"]) == 2
+    assert certificate_command.main(["issue", str(tmp_path), "car-1", "--kind", "vehicle"]) == 2
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.observations.base_memory import BaseMemory
+from camber.gnss.observations.base_coordinate_history import BaseMemory
 from camber.gnss.observations.base_station import BaseStation, station_name
 from camber.gnss.observations.receiver_streams import StationPosition
 

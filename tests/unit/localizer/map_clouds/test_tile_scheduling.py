@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from camber.localizer.map_clouds.map_blocks import MapBlockOptions
-from camber.localizer.map_clouds.tile_loading import CloudTileLoader
+from camber.localizer.map_clouds.tile_scheduling import CloudTileLoader
 from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.warm_up import NoDiagnostics, SyntheticMap, synthetic_street
 from camber.road_map.tile_grid import tile_frame

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.observations.base_memory import (
+from camber.gnss.observations.base_coordinate_history import (
     PLACE_M,
     SAME_M,
     BaseMemory,
     memory_as_text,
     memory_from_text,
 )
+from camber.gnss.observations.base_move_detection import BaseWatch
 from camber.gnss.observations.base_offset import BaseOffset
 from camber.gnss.observations.base_station import BaseStation
-from camber.gnss.observations.base_watch import BaseWatch
 from camber.gnss.observations.receiver_streams import StationPosition
 from support.canyon_statistics import FIRST_NS, FRAME
 from support.engine_drives import base_ecef_m

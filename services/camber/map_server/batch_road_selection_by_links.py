@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.geodesy.tangent_planes import east_north_near
-from camber.map_server.road_level_selection import TIE_M
-from camber.map_server.road_selection import (
+from camber.map_server.batch_road_selection import (
     KNOWN,
     LEVELS_AMBIGUOUS,
     NO_SURFACE,
@@ -23,6 +22,7 @@ from camber.map_server.road_selection import (
     PointColumns,
     SelectedRoads,
 )
+from camber.map_server.road_level_selection import TIE_M
 from camber.map_server.tile_index import CELL_M, SurfaceTable, on_surface
 from camber.road_map.height_interpolation import grid_plane
 

@@ -20,10 +20,10 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from camber.runtime.tls import RENEW_BEFORE
+from camber.runtime.tls_certificates import RENEW_BEFORE
 from camber.tools.options.number_options import number_from
 from camber.tools.options.parsers import add_with_default, tool_parser
-from camber.tools.security import certificates
+from camber.tools.security import certificate_authority
 
 DAYS, AUTHORITY_DAYS = 30.0, 3650.0
 """Chosen: short, since Zenoh has no revocation lists; the authority ten years."""
@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         code: int = args.work(args)
         return code
-    except (certificates.CertsError, OSError) as error:
+    except (certificate_authority.CertsError, OSError) as error:
         print(f"camber certs: {error}", file=sys.stderr)
         return 2
 
@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--authority-days", type=_DAYS, default=AUTHORITY_DAYS, metavar="DAYS")
     for command in (issue, revoke):
         command.add_argument("name", metavar="NAME")
-    issue.add_argument("--kind", choices=certificates.KINDS, required=True)
+    issue.add_argument("--kind", choices=certificate_authority.KINDS, required=True)
     issue.add_argument(
         "--host", action="append", default=[], help=f"{text} (with --renew default: unchanged)"
     )
@@ -80,17 +80,24 @@ def _parser() -> argparse.ArgumentParser:
 
 def _make(args: argparse.Namespace) -> int:
     now = datetime.now(UTC)
-    wanted: list[tuple[str, certificates.Kind]] = [(args.router, "router"), ("map_update", "map_update")]
-    for kind in certificates.KINDS:
+    wanted: list[tuple[str, certificate_authority.Kind]] = [
+        (args.router, "router"),
+        ("map_update", "map_update"),
+    ]
+    for kind in certificate_authority.KINDS:
         wanted += [(name, kind) for name in getattr(args, kind, ()) if kind not in ("router", "map_update")]
-    certificates.check_hosts(args.host)  # check all arguments first: an authority can be created only once
+    certificate_authority.check_hosts(
+        args.host
+    )  # check all arguments first: an authority can be created only once
     names = [name for name, _ in wanted]
     for name in names:
-        certificates.check_name(name)
-        certificates.check_length(name)
+        certificate_authority.check_name(name)
+        certificate_authority.check_length(name)
         if names.count(name) > 1:
-            raise certificates.CertsError(f"{name}: named twice")
-    authority = certificates.Authority.make(args.folder, name=args.name, days=args.authority_days, now=now)
+            raise certificate_authority.CertsError(f"{name}: named twice")
+    authority = certificate_authority.Authority.make(
+        args.folder, name=args.name, days=args.authority_days, now=now
+    )
     print(f"{args.folder / 'ca.pem'}: {args.name}, {args.authority_days:g} days")
     for name, kind in wanted:
         hosts = args.host if kind == "router" else ()
@@ -99,7 +106,7 @@ def _make(args: argparse.Namespace) -> int:
 
 
 def _issue(args: argparse.Namespace) -> int:
-    row = certificates.Authority(args.folder).issue(
+    row = certificate_authority.Authority(args.folder).issue(
         args.name, args.kind, hosts=args.host, days=args.days, now=datetime.now(UTC), renew=args.renew
     )
     _print_issued(args.folder, row)
@@ -107,7 +114,7 @@ def _issue(args: argparse.Namespace) -> int:
 
 
 def _revoke(args: argparse.Namespace) -> int:
-    for row in certificates.Authority(args.folder).revoke(args.name, now=datetime.now(UTC)):
+    for row in certificate_authority.Authority(args.folder).revoke(args.name, now=datetime.now(UTC)):
         print(f"{row.name}: {row.common_name}, serial {row.serial}, revoked; it expires {row.until}")
     print(
         "Not yet in force: regenerate the router's rules with `camber access cloud`, then restart the router."
@@ -117,9 +124,9 @@ def _revoke(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace) -> int:
     now = datetime.now(UTC)
-    issued = certificates.Authority(args.folder).issued()
-    ca = certificates.read_certificate(args.folder / "ca.pem")
-    until, name = ca.not_valid_after_utc, certificates.common_name(ca.subject)
+    issued = certificate_authority.Authority(args.folder).issued()
+    ca = certificate_authority.read_certificate(args.folder / "ca.pem")
+    until, name = ca.not_valid_after_utc, certificate_authority.common_name(ca.subject)
     print(f"{'name':<24} {'kind':<11} {'common name':<24} {'until':<26} state")
     print(f"{'ca':<24} {'authority':<11} {name:<24} {until.isoformat():<26} {_state(until - now)}")
     for row in issued:
@@ -132,26 +139,26 @@ def _list(args: argparse.Namespace) -> int:
 def _show(args: argparse.Namespace) -> int:
     now, good = datetime.now(UTC), True
     for path in args.files:
-        certificate = certificates.read_certificate(path)
+        certificate = certificate_authority.read_certificate(path)
         left = certificate.not_valid_after_utc - now
         early = certificate.not_valid_before_utc > now
         good &= left > timedelta() and not early
         not_yet = " NOT YET VALID" if early else ""
         print(
             f"{path}:",
-            f"  who    {certificates.common_name(certificate.subject)} ({_uses(certificate)})",
-            f"  by     {certificates.common_name(certificate.issuer)}",
+            f"  who    {certificate_authority.common_name(certificate.subject)} ({_uses(certificate)})",
+            f"  by     {certificate_authority.common_name(certificate.issuer)}",
             f"  from   {certificate.not_valid_before_utc.isoformat(' ')}{not_yet}",
             f"  until  {certificate.not_valid_after_utc.isoformat(' ')}, {_state(left)}",
             f"  serial {certificate.serial_number:x}",
             sep="\n",
         )
-        if hosts := certificates.hosts_of(certificate):
+        if hosts := certificate_authority.hosts_of(certificate):
             print(f"  hosts  {', '.join(hosts)}")
     return 0 if good else 1
 
 
-def _print_issued(folder: Path, row: certificates.IssuedCertificate) -> None:
+def _print_issued(folder: Path, row: certificate_authority.IssuedCertificate) -> None:
     print(f"{folder / row.name}.pem: {row.kind} {row.common_name}, until {row.until}")
 
 

@@ -30,7 +30,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import TypeAdapter, ValidationError
 
-from camber.runtime.tls import name_of
+from camber.runtime.tls_certificates import name_of
 from camber.schemas.base import Name
 
 Kind = Literal["router", "vehicle", "map_update", "consumer", "judge", "operator"]
