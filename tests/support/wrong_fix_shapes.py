@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,16 @@ def is_wrong(error_enu_m: Floats) -> NDArray[np.bool_]:
     return far
 
 
-def nagoya_fix_errors_m() -> Floats | None:
-    """East, north, up (n, 3) of the fixes of the Nagoya recording; None without CAMBER_DATA."""
+class FixesAgainstTruth(NamedTuple):
+    """Fixes (n,) of a recording: east, north, up off the reference (n, 3) and σ of the height as claimed, m."""
+
+    error_m: Floats
+    up_sigma_m: Floats
+    speed_m_s: Floats
+
+
+def nagoya_fixes() -> FixesAgainstTruth | None:
+    """The fixes of the Nagoya recording; None without CAMBER_DATA."""
     root = os.environ.get("CAMBER_DATA")
     if not root:
         return None
@@ -53,11 +62,24 @@ def nagoya_fix_errors_m() -> Floats | None:
         plane = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, height_m)
         return np.column_stack((plane, height_m))
 
-    at_fixes, known = interpolate_truth(truth, np.array([s.time_ns for s in fixes], np.int64))
+    time_ns = np.array([s.time_ns for s in fixes], np.int64)
+    at_fixes, known = interpolate_truth(truth, time_ns)
     fixed_m = placed(*np.array([(s.latitude_rad, s.longitude_rad, s.height_m) for s in fixes]).T)
     true_m = placed(at_fixes.latitude_rad, at_fixes.longitude_rad, at_fixes.height_m)
-    error: Floats = fixed_m[known] - true_m - np.array(NAGOYA_OFFSET_M)
-    return error
+    driven_m = placed(truth.latitude_rad, truth.longitude_rad, truth.height_m)
+    speed_m_s = np.hypot(*np.gradient(driven_m[:, :2], truth.time_ns / 1e9, axis=0).T)
+    claims = np.array([np.sqrt(s.covariance_enu_m2[5]) if s.covariance_enu_m2 else np.nan for s in fixes])
+    return FixesAgainstTruth(
+        error_m=fixed_m[known] - true_m - np.array(NAGOYA_OFFSET_M),
+        up_sigma_m=claims[known],
+        speed_m_s=np.interp(time_ns[known], truth.time_ns, speed_m_s),
+    )
+
+
+def nagoya_fix_errors_m() -> Floats | None:
+    """East, north, up (n, 3) of the fixes of the Nagoya recording; None without CAMBER_DATA."""
+    fixes = nagoya_fixes()
+    return None if fixes is None else fixes.error_m
 
 
 def shares_percent(steep: Floats) -> Floats:

@@ -31,11 +31,13 @@ class HeightErrorModel:
         4e-3  # rms of 2,213 wrong fixes of `wrong_fix_shapes` (median 0.5 mm/s, 95 % 6.5 mm/s)
     )
     fix_common_sigma_m: float = 0.015  # docs/theory/integrity.md: multipath of the phase, at least
+    fix_common_share: float = 2.4  # of the white noise; `support.height_claims`, Nagoya: 2.1 to 2.6
     fix_common_time_s: float = 30.0  # chosen: reflections change within metres, and last at a standstill
 
     def fix_common_m(self, fix_sigma_m: Floats | float) -> Floats:
-        """Return σ of f; no less than the white noise `fix_sigma_m`, a number or (n,): in streets both are larger."""
-        return np.asarray(np.maximum(self.fix_common_sigma_m, fix_sigma_m), np.float64)
+        """Return σ of f by that of the white noise, `fix_sigma_m`, a number or (n,): in streets both are larger."""
+        common_m = self.fix_common_share * np.asarray(fix_sigma_m, np.float64)
+        return np.asarray(np.maximum(self.fix_common_sigma_m, common_m), np.float64)
 
     def covariance(
         self,
