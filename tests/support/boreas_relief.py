@@ -129,7 +129,7 @@ class ReliefDrive:
     def part(self, from_m: float, to_m: float) -> ReliefDrive:
         """Return the observations of a part of the path."""
         kept = (self.path_m >= from_m) & (self.path_m < to_m)
-        window = HeightWindow(*(values[kept] for values in self.window))
+        window = HeightWindow(*(values[kept] for values in self.window[:6]))
         return ReliefDrive(
             window=window, heading_rad=self.heading_rad[kept], path_m=self.path_m[kept], road=self.road
         )

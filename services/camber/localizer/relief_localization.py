@@ -23,6 +23,7 @@ from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.height_states import HeightStates
 from camber.localizer.relief.relief_start import PlacedPose, ReliefStart
 from camber.localizer.relief.road_ribbon import RibbonPlane
+from camber.localizer.relief.white_noise import WhiteNoise
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Road
 from camber.schemas.road import ElevationRequest
@@ -53,6 +54,7 @@ class ReliefLocalization:
         self._map_queries, self._diagnostics = map_queries, diagnostics
         position = independent.position
         self._states = HeightStates(position.state, model)
+        self._white_noise = WhiteNoise(model)
         self._start = ReliefStart(model, position.filter.model.motion)
         self._start_plane: LocalPlane | None = None
         self._road: Road | None = None
@@ -117,6 +119,7 @@ class ReliefLocalization:
         self._diagnostics.count("relief.start_tried")
         if start is not None and self._independent.start_by_relief(start, plane):
             self._states.reset()
+            self._white_noise.forget()
             self._start.forget()
             self._used_at_m, self._used_ns = track.path_m, time_ns
             self._diagnostics.count("relief.started")
@@ -137,12 +140,14 @@ class ReliefLocalization:
         self._states.age(passed_m, max(0.0, (time_ns - self._used_ns) * 1e-9) if self._used_ns else 0.0)
         self._used_at_m, self._used_ns = track.path_m, time_ns
         before = position.state.p[:2, :2].copy()
+        residual_m, map_sigma_m = height_m - road.elevation_m, road.sigma_m or 0.0
+        self._white_noise.add(residual_m, (predicted.east_m, predicted.north_m), map_sigma_m)
         update = position.update_height(
             time_ns,
-            height_m - road.elevation_m,
+            residual_m,
             (road.slope_east or 0.0, road.slope_north or 0.0),
             variance_m2=sigma_m**2 + (0.5 * _CURVATURE_PER_M * spread_m2) ** 2,
-            extra=self._states.row(road.sigma_m or 0.0, sigma_m),
+            extra=self._states.row(map_sigma_m, self._white_noise.sigma_m(sigma_m)),
         )
         self._diagnostics.count(f"relief.{update.outcome}")
         if update.outcome == "outside_gate":

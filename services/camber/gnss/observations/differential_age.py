@@ -9,6 +9,7 @@ from camber.formats.observations import Floats
 from camber.gnss.observations.base_station import BaseStation
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 
+BaseProblem = Literal["no_base", "no_base_position", "base_too_old", "base_position_wrong", "base_moved"]
 BaseWarning = Literal[
     "base_silent", "base_position_missing", "base_stale", "base_position_wrong", "base_moved"
 ]
@@ -18,7 +19,7 @@ class BaseUse(NamedTuple):
     """The age of the corrections (s); why the base cannot be used, for a solution, and the warning that says so."""
 
     age_s: float
-    reason: str | None = None
+    reason: BaseProblem | None = None
     warning: BaseWarning | None = None
 
 

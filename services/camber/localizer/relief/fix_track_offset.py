@@ -18,6 +18,7 @@ from camber.localizer.arrays import Floats
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
 from camber.localizer.relief.terrain_contour_matching import HeightWindow, ShiftEstimate, estimate_shift
+from camber.localizer.relief.white_noise import white_sigma_m
 
 _PRIOR_SIGMA_M: Final = 8.0  # chosen: larger vectors show against the independent position
 _PRIOR_GROWTH_M_S: Final = 0.2  # chosen: what grows faster leaves the path of odometry within 20 s
@@ -30,8 +31,7 @@ _GAP_M: Final = 40.0  # chosen: a fix a second at 40 m/s; a longer gap has no he
 _KNOWN_SHARE: Final = 0.7  # chosen: of the way, as the windows of docs/theory/relief.md
 _PLANES_M: Final = 2.0  # chosen: errors of a slope are millimetres over half of it
 _EVERY_M: Final = 100.0  # chosen: a tenth of the shortest window is new
-_LEAST_WHITE_SIGMA_M: Final = 0.003  # chosen: a heave of the vehicle on its springs
-_DEVIATIONS: Final = 1.4826  # σ of a normal distribution by its median deviation
+_UNKNOWN_WHITE_SIGMA_M: Final = 0.003  # chosen: no two neighbours are on the map, and nothing follows of them
 _NO_SHIFT: Final[Floats] = np.zeros(2)
 _SHIFTED_CHI2: Final = 9.21  # chi-square, 2 degrees of freedom, 99 %
 _FITS_CHI2: Final = 1.5  # chosen: of residuals; another place may fit better
@@ -167,25 +167,12 @@ def _fits_unshifted(estimate: ShiftEstimate) -> bool:
 def _window(heights: Sequence[TrackHeight], ribbon: RoadRibbon, model: HeightErrorModel) -> HeightWindow:
     table = np.array(heights)
     residual = table[:, 4] - ribbon.at(table[:, 2], table[:, 3]).elevation_m
-    white_m = _white_sigma_m(residual, table[:, 2:4], table[:, 5], model)
+    white_m = white_sigma_m(residual, table[:, 2:4], table[:, 5], model)
     return HeightWindow(
         time_s=table[:, 0],
         east_m=table[:, 2],
         north_m=table[:, 3],
         height_m=table[:, 4],
-        sigma_m=np.full(len(table), white_m),
+        sigma_m=np.full(len(table), _UNKNOWN_WHITE_SIGMA_M if white_m is None else white_m),
         map_sigma_m=table[:, 5],
     )
-
-
-def _white_sigma_m(residual_m: Floats, places: Floats, map_sigma_m: Floats, model: HeightErrorModel) -> float:
-    """Return σ of the heights' white noise by the differences of neighbours, without what the map's errors change."""
-    steps_m = np.diff(residual_m)
-    known = np.isfinite(steps_m)
-    if not known.any():
-        return _LEAST_WHITE_SIGMA_M
-    apart_m = np.hypot(*np.diff(places, axis=0).T)
-    map_m2 = (map_sigma_m[1:] ** 2 * (1.0 - model.map_errors.correlation(apart_m)))[known]
-    change_m = _DEVIATIONS * float(np.median(np.abs(steps_m[known])))
-    white_m2 = 0.5 * change_m**2 - float(np.median(map_m2))
-    return float(np.sqrt(max(white_m2, _LEAST_WHITE_SIGMA_M**2)))

@@ -46,19 +46,22 @@ class HeightErrorModel:
         *,
         map_sigma_m: Floats,
         fix_sigma_m: Floats,
+        white_sigma_m: float | None = None,
         stepped: bool = False,
     ) -> Floats:
         """Return the covariance (n, n) in m² of n observations, without the offset's initial variance.
 
         `places` (n, 2): east and north in m; a road driven twice has the same error twice. `fix_sigma_m` (n,): of the
-        white noise. `stepped`: the fixes have stepped before.
+        white noise, and `white_sigma_m` what was measured of it, if it was. `stepped`: the fixes have stepped before.
         """
         since_s = time_s - time_s.min()
         walk = self.offset_walk_m_sqrt_s**2 * np.minimum.outer(since_s, since_s)
         if stepped:
             walk += self.stepped_rate_m_s**2 * np.outer(since_s, since_s)
         apart_s = np.abs(np.subtract.outer(time_s, time_s))
-        common_m = self.fix_common_m(fix_sigma_m)
+        common_m = self.fix_common_m(
+            fix_sigma_m if white_sigma_m is None else np.full_like(time_s, white_sigma_m)
+        )
         fix = np.outer(common_m, common_m) * np.exp(-apart_s / self.fix_common_time_s)
         alike = self.map_errors.covariance_m2(places, map_sigma_m)
         return np.asarray(alike + walk + fix + np.diag(fix_sigma_m**2), np.float64)

@@ -73,7 +73,7 @@ class HeightStates:
         p[:, extra] = p[:, extra] @ transition.T
         p[extra, extra] += noise
 
-    def row(self, map_sigma_m: float, fix_sigma_m: float) -> tuple[float, ...]:
-        """Return the derivatives (`HEIGHT_STATES`,) of a height by the states; `fix_sigma_m`: of its white noise."""
-        common_m = float(self._model.fix_common_m(fix_sigma_m))
+    def row(self, map_sigma_m: float, white_sigma_m: float) -> tuple[float, ...]:
+        """Return the derivatives (`HEIGHT_STATES`,) of a height by the states, by σ of map and white noise."""
+        common_m = float(self._model.fix_common_m(white_sigma_m))
         return 1.0, 0.0, common_m, *(map_sigma_m * self._model.map_errors.observation)

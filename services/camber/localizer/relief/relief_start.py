@@ -24,6 +24,7 @@ from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
 from camber.localizer.relief.terrain_contour_matching import HeightWindow, estimate_shift
 from camber.localizer.relief.track_errors import track_error_modes
+from camber.localizer.relief.white_noise import white_sigma_m
 
 MAX_PRIOR_SHARE: Final = 0.02  # chosen: see above
 PRIOR_SIGMA_M: Final = 20.0  # chosen: a base coordinate, or positions led away, before the heights show it
@@ -114,6 +115,7 @@ class ReliefStart:
         places = np.array(
             [self._place(height.track, last.track, frame_rad, pose) for height in self._heights]
         )
+        ribbon = RoadRibbon(list(self._planes))
         window = HeightWindow(
             time_s=np.array([(height.time_ns - last.time_ns) * 1e-9 for height in self._heights]),
             east_m=places[:, 0],
@@ -123,8 +125,8 @@ class ReliefStart:
             map_sigma_m=np.array([height.map_sigma_m for height in self._heights]),
         )
         estimate = estimate_shift(
-            window,
-            RoadRibbon(list(self._planes)).at,
+            window._replace(white_sigma_m=self._white_sigma_m(window, ribbon)),
+            ribbon.at,
             self._model,
             prior=self._prior,
             modes=track_error_modes(window.east_m, window.north_m, window.time_s),
@@ -145,6 +147,13 @@ class ReliefStart:
             covariance=to_vehicle @ estimate.covariance[:3, :3] @ to_vehicle.T,
             provenance="given",
         )
+
+    def _white_sigma_m(self, window: HeightWindow, ribbon: RoadRibbon) -> float | None:
+        """Return what is measured at the places of the pose, at most what is claimed."""
+        residual_m = window.height_m - ribbon.at(window.east_m, window.north_m).elevation_m
+        places = np.column_stack((window.east_m, window.north_m))
+        measured_m = white_sigma_m(residual_m, places, window.map_sigma_m, self._model)
+        return None if measured_m is None else min(measured_m, float(np.median(window.sigma_m)))
 
     @staticmethod
     def _place(

@@ -40,7 +40,10 @@ _KNOWN_SHARE = 0.8  # chosen: of the observations, on the map at a shift
 
 class HeightWindow(NamedTuple):
     """n observations on a track whose shape is known: time (s), places (m), the road's height by the fix (its height
-    less the antenna's, m), the σ of its white noise and that of the map's elevation (m)."""
+    less the antenna's, m), the σ of its white noise and that of the map's elevation (m).
+
+    `white_sigma_m`: what was measured of the white noise, if it was.
+    """
 
     time_s: Floats
     east_m: Floats
@@ -48,6 +51,7 @@ class HeightWindow(NamedTuple):
     height_m: Floats
     sigma_m: Floats
     map_sigma_m: Floats
+    white_sigma_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,6 +177,7 @@ class _Problem:
             window.time_s,
             map_sigma_m=window.map_sigma_m,
             fix_sigma_m=window.sigma_m,
+            white_sigma_m=window.white_sigma_m,
             stepped=stepped,
         )
         gross = self._gross_errors()
