@@ -233,9 +233,7 @@ class CarriedPosition:
                 base.place.metres[0] + driven_m[0] - east_m,
                 base.place.metres[1] + driven_m[1] - north_m,
             )
-            places.append(
-                _Place(metres=metres, variance_m2=base.place.variance_m2 + self._rules.odometry_m**2)
-            )
+            places.append(_Place(metres=metres, variance_m2=self._variance_by_odometry_m2(base, run, pose)))
         if pose.anchor_time_ns == base.confirmed_ns:
             east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
             variance_m2 = pose_sigma_m(pose) ** 2 + unsteady_m2(pose, fix.time_ns)
@@ -249,7 +247,13 @@ class CarriedPosition:
         if driven_m is None:
             return None
         metres = base.place.metres[0] + driven_m[0], base.place.metres[1] + driven_m[1]
-        return _Place(metres=metres, variance_m2=base.place.variance_m2 + self._rules.odometry_m**2)
+        return _Place(metres=metres, variance_m2=self._variance_by_odometry_m2(base, run, pose))
+
+    def _variance_by_odometry_m2(self, base: _Carried, run: _Run | None, pose: Pose) -> float:
+        """After the way since the last fix: wheels that slip are off by the same from fix to fix, as the pose knows."""
+        grown_m = 0.0 if run is None else max(pose_sigma_m(pose) - pose_sigma_m(run.pose), 0.0)
+        sigma_m = math.sqrt(base.place.variance_m2) + grown_m
+        return sigma_m * sigma_m + self._rules.odometry_m**2
 
     def _continued(self, fix: Fix, pose: Pose) -> _Run | None:
         """The present run, where the fix is one more of it."""

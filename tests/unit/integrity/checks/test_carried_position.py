@@ -93,16 +93,21 @@ def test_a_position_confirmed_by_height_alone_under_a_wide_pose_is_not_held_agai
 # --- the parts ---------------------------------------------------------------------------------------------------
 
 
+def lost(k, **changes):
+    """A pose of σ 3 m: that of the localizer at the fixes and between them."""
+    return pose(k, **{"sigma_m": 3.0, **changes})
+
+
 def carrying(confirmed=range(3), odds=SURE, rules=RULES):
     carried = CarriedPosition(rules, SIGMA, WrongFixRules())
     for k in confirmed:
-        carried.settle(fix(k), pose(k, anchor_time_ns=at(k - 1)), odds)
+        carried.settle(fix(k), lost(k, anchor_time_ns=at(k - 1)), odds)
     return carried
 
 
 def off(carried, k, **changes):
     """Metres from the truth of the pose of an epoch, 5 m off, as it is improved; and its σ."""
-    given = pose(k, sigma_m=3.0, east_m=5.0, **changes)
+    given = lost(k, sigma_m=3.0, east_m=5.0, **changes)
     better, right = carried.improve(given), fix(k)
     metres = east_north_between(
         right.latitude_rad, right.longitude_rad, better.latitude_rad, better.longitude_rad
@@ -113,7 +118,7 @@ def off(carried, k, **changes):
 def test_the_pose_is_moved_to_where_the_run_carries_the_position_and_is_as_wide_as_that():
     carried = carrying()
     for k in range(3, 103):
-        carried.settle(fix(k, north_m=2.0), pose(k, sigma_m=3.0, east_m=5.0), None)
+        carried.settle(fix(k, north_m=2.0), lost(k, sigma_m=3.0, east_m=5.0), None)
     metres, sigma_m = off(carried, 103)
     assert metres == pytest.approx((0.0, 0.0), abs=1e-3)
     drift_m = RULES.drift_per_s * 2.0 * 99 * 0.2
@@ -129,7 +134,7 @@ def test_errors_of_a_position_carried_by_drifting_runs_are_as_wide_as_it_says():
         rate_m_s = rng.normal(0.0, RULES.drift_per_s, 2) * np.hypot(*shift_m)
         for k in range(3, 3 + 5 * seconds, 5):
             east_m, north_m = shift_m + rate_m_s * (k - 3) * 0.2 + rng.normal(0.0, FIX_M, 2)
-            carried.settle(fix(k, east_m=east_m, north_m=north_m), pose(k, sigma_m=9.0), None)
+            carried.settle(fix(k, east_m=east_m, north_m=north_m), lost(k), None)
         metres, sigma_m = off(carried, k)
         squares.append(np.hypot(*metres) ** 2 / sigma_m**2 / 2)
     # The first fix's error is that of the carried position for the rest of the run.
@@ -138,68 +143,81 @@ def test_errors_of_a_position_carried_by_drifting_runs_are_as_wide_as_it_says():
 
 def test_the_pose_stays_where_it_is_narrower_or_has_just_been_anchored():
     carried = carrying()
-    wide = pose(2.5, sigma_m=3.0)
+    wide = lost(2.5, sigma_m=3.0)
     assert carried.improve(wide) is wide  # all fixes were confirmed
-    carried.settle(fix(3, north_m=2.0), pose(3, sigma_m=3.0), None)
-    narrow = pose(3.5, sigma_m=0.05)
+    carried.settle(fix(3, north_m=2.0), lost(3, sigma_m=3.0), None)
+    narrow = lost(3.5, sigma_m=0.05)
     assert carried.improve(narrow) is narrow
-    nowhere = pose(3.5, latitude_rad=None)
+    nowhere = lost(3.5, latitude_rad=None)
     assert carried.improve(nowhere) is nowhere
 
 
 def test_a_pose_that_the_last_confirmed_fix_has_anchored_begins_a_run_where_it_is_narrower():
     carried = carrying()
-    carried.settle(fix(3, north_m=2.0), pose(3, sigma_m=0.01, anchor_time_ns=at(2)), None)
-    _, sigma_m = off(carried, 3)
-    assert sigma_m**2 == pytest.approx(0.01**2 + FIX_M**2 + RULES.odometry_m**2)
+    carried.settle(fix(3, north_m=2.0), lost(3, sigma_m=0.01, anchor_time_ns=at(2)), None)
+    carried.settle(fix(4, north_m=2.0), lost(4, anchor_time_ns=at(2)), None)
+    _, sigma_m = off(carried, 4)
+    assert sigma_m**2 == pytest.approx(0.01**2 + FIX_M**2 + RULES.odometry_m**2, rel=1e-3)
+
+
+def test_wheels_that_slip_make_it_as_wide_as_the_pose_and_a_run_that_begins_meanwhile_too():
+    """Fixes of one run that a slip breaks into many: each begins where the wheels say, metres off in the end."""
+    carried = carrying()
+    for k in range(3, 28):
+        slipped_m = 0.5 * (k - 2)
+        carried.settle(fix(k, north_m=slipped_m), lost(k, sigma_m=3.0 + slipped_m), None)
+    _, sigma_m = off(carried, 27)
+    assert sigma_m == 3.0, "the pose is not improved by it"
+    better = carried.improve(lost(27, sigma_m=15.5))
+    assert math.sqrt(better.covariance_east_north_yaw[0]) == pytest.approx(12.5, abs=0.2)
 
 
 def test_where_the_pose_is_narrower_than_what_a_run_carries_it_is_what_is_carried():
     carried = carrying()
-    carried.settle(fix(3, north_m=2.0), pose(3), None)
-    carried.settle(fix(4, north_m=2.0), pose(4, sigma_m=0.01, anchor_time_ns=at(2)), None)
-    wide = pose(4, sigma_m=3.0)
+    carried.settle(fix(3, north_m=2.0), lost(3), None)
+    carried.settle(fix(4, north_m=2.0), lost(4, sigma_m=0.01, anchor_time_ns=at(2)), None)
+    wide = lost(4, sigma_m=3.0)
     assert carried.improve(wide) is wide  # until a run is better again
-    carried.settle(fix(5, north_m=2.0), pose(5, sigma_m=3.0, anchor_time_ns=at(2)), None)
-    assert carried.improve(pose(5, sigma_m=3.0)) != pose(5, sigma_m=3.0)
+    carried.settle(fix(5, north_m=2.0), lost(5, sigma_m=3.0, anchor_time_ns=at(2)), None)
+    assert carried.improve(lost(5, sigma_m=3.0)) != lost(5, sigma_m=3.0)
 
 
 @pytest.mark.parametrize(
     ("next_fix", "next_pose", "same"),
     [
-        (fix(4, north_m=2.0), pose(4), True),
-        (fix(4, north_m=2.0 + 0.9 * RULES.step_m), pose(4), True),
-        (fix(4, north_m=2.0 + 1.1 * RULES.step_m), pose(4), False),
-        (fix(4, north_m=2.0, up_m=0.9 * RULES.step_m), pose(4), True),
-        (fix(4, north_m=2.0, up_m=1.1 * RULES.step_m), pose(4), False),
-        (fix(4, north_m=2.0, up_m=0.6), pose(4, road=road(slope_east=0.3)), True),
-        (fix(4, north_m=2.0), pose(4, yaw_rad=None), False),
-        (fix(9, north_m=2.0), pose(9), False),
+        (fix(4, north_m=2.0), lost(4), True),
+        (fix(4, north_m=2.0 + 0.9 * RULES.step_m), lost(4), True),
+        (fix(4, north_m=2.0 + 1.1 * RULES.step_m), lost(4), False),
+        (fix(4, north_m=2.0, up_m=0.9 * RULES.step_m), lost(4), True),
+        (fix(4, north_m=2.0, up_m=1.1 * RULES.step_m), lost(4), False),
+        (fix(4, north_m=2.0, up_m=0.6), lost(4, road=road(slope_east=0.3)), True),
+        (fix(4, north_m=2.0), lost(4, yaw_rad=None), False),
+        (fix(9, north_m=2.0), lost(9), False),
     ],
 )
 def test_a_run_goes_on_while_fixes_move_as_the_vehicle_does(next_fix, next_pose, same):
     carried = carrying()
-    carried.settle(fix(3, north_m=2.0), pose(3), None)
+    carried.settle(fix(3, north_m=2.0), lost(3), None)
     assert carried.began_elsewhere(next_fix, next_pose, LIMITS) == same
 
 
 def test_a_run_that_began_where_the_position_was_carried_began_nowhere_else():
     carried = carrying()
-    carried.settle(fix(3, north_m=0.02), pose(3), None)
-    assert not carried.began_elsewhere(fix(4), pose(4), LIMITS)
+    carried.settle(fix(3, north_m=0.02), lost(3), None)
+    assert not carried.began_elsewhere(fix(4), lost(4), LIMITS)
 
 
 def test_odds_of_the_position_fade_with_confirmed_fixes_and_what_is_doubtful_is_not_used():
     doubtful = carrying(range(1), odds=0.5)
-    doubtful.settle(fix(1, north_m=2.0), pose(1), None)
-    assert not doubtful.began_elsewhere(fix(2, north_m=2.0), pose(2), LIMITS)
+    doubtful.settle(fix(1, north_m=2.0), lost(1), None)
+    assert not doubtful.began_elsewhere(fix(2, north_m=2.0), lost(2), LIMITS)
     assert off(doubtful, 2)[1] == 3.0
     episode = WrongFixRules().episode_s * 5  # epochs in which they fade by e
     for epochs, used in ((3.0 * episode, False), (5.0 * episode, True)):
         carried = carrying(range(1), odds=0.5)
         for k in range(1, round(epochs)):
-            carried.settle(fix(k), pose(k), SURE)
-        carried.settle(fix(round(epochs), north_m=2.0), pose(round(epochs)), None)
+            carried.settle(fix(k), lost(k), SURE)
+        carried.settle(fix(round(epochs), north_m=2.0), lost(round(epochs)), None)
         assert (off(carried, round(epochs))[1] < 1.0) == used
 
 
@@ -207,38 +225,38 @@ def test_it_is_carried_for_two_minutes_and_no_longer():
     carried = carrying()
     last = 2 + round(RULES.longest_s * 5)
     for k in range(3, last + 5):
-        carried.settle(fix(k, north_m=2.0), pose(k, sigma_m=3.0, east_m=5.0), None)
+        carried.settle(fix(k, north_m=2.0), lost(k, sigma_m=3.0, east_m=5.0), None)
         assert (off(carried, k)[1] < 1.0) == (k <= last)
 
 
 def test_nothing_is_carried_before_a_fix_is_confirmed_or_where_nothing_carries_it():
     empty = CarriedPosition(RULES, SIGMA, WrongFixRules())
-    empty.settle(fix(0), pose(0), None)
-    assert not empty.began_elsewhere(fix(1), pose(1), LIMITS)
+    empty.settle(fix(0), lost(0), None)
+    assert not empty.began_elsewhere(fix(1), lost(1), LIMITS)
     assert off(empty, 1)[1] == 3.0
     carried = carrying()
-    carried.settle(fix(30, north_m=2.0), pose(30, sigma_m=3.0), None)  # after a pause, and anchored by others
+    carried.settle(fix(30, north_m=2.0), lost(30, sigma_m=3.0), None)  # after a pause, and anchored by others
     assert off(carried, 30)[1] == 3.0
 
 
 def test_a_run_is_off_the_road_since_its_begin_once_a_height_of_it_is():
     carried = carrying()
-    assert carried.off_road_since_ns(fix(3, north_m=2.0), pose(3), off_road=False) is None
-    assert carried.off_road_since_ns(fix(3, north_m=2.0), pose(3), off_road=True) == at(3)
-    carried.settle(fix(3, north_m=2.0), pose(3), None)
-    assert carried.off_road_since_ns(fix(4, north_m=2.0), pose(4), off_road=False) is None
-    carried.settle(fix(4, north_m=2.0), pose(4), None, off_road=True)
-    assert carried.off_road_since_ns(fix(5, north_m=2.0), pose(5), off_road=False) == at(3)
-    assert carried.off_road_since_ns(fix(5), pose(5), off_road=False) is None
+    assert carried.off_road_since_ns(fix(3, north_m=2.0), lost(3), off_road=False) is None
+    assert carried.off_road_since_ns(fix(3, north_m=2.0), lost(3), off_road=True) == at(3)
+    carried.settle(fix(3, north_m=2.0), lost(3), None)
+    assert carried.off_road_since_ns(fix(4, north_m=2.0), lost(4), off_road=False) is None
+    carried.settle(fix(4, north_m=2.0), lost(4), None, off_road=True)
+    assert carried.off_road_since_ns(fix(5, north_m=2.0), lost(5), off_road=False) == at(3)
+    assert carried.off_road_since_ns(fix(5), lost(5), off_road=False) is None
 
 
 def test_what_is_dated_ahead_is_dropped():
     carried = carrying()
     carried.forget_after(at(2))
-    carried.settle(fix(3, north_m=2.0), pose(3), None)
-    assert carried.began_elsewhere(fix(4, north_m=2.0), pose(4), LIMITS)
+    carried.settle(fix(3, north_m=2.0), lost(3), None)
+    assert carried.began_elsewhere(fix(4, north_m=2.0), lost(4), LIMITS)
     carried.forget_after(at(2))
-    assert not carried.began_elsewhere(fix(4, north_m=2.0), pose(4), LIMITS)
+    assert not carried.began_elsewhere(fix(4, north_m=2.0), lost(4), LIMITS)
 
 
 def test_the_road_is_seen_from_the_place_to_which_the_pose_is_moved():
@@ -253,13 +271,13 @@ def test_the_road_is_seen_from_the_place_to_which_the_pose_is_moved():
         slope_north=np.zeros(2),
     )
     carried = carrying()
-    carried.settle(fix(3, north_m=2.0), pose(3), None)
+    carried.settle(fix(3, north_m=2.0), lost(3), None)
     for given, expected_m in (
         (road(slope_east=0.1, slope_north=-0.2), 39.5),
         (road(patch=patch), 39.5),
         (Road(status="unknown", reason="no_surface"), None),
     ):
-        better = carried.improve(pose(3, sigma_m=3.0, east_m=5.0, road=given))
+        better = carried.improve(lost(3, sigma_m=3.0, east_m=5.0, road=given))
         here = road_at(better.road, 0.0, 0.0)
         assert (here is None) == (expected_m is None)
         assert here is None or here.elevation_m == pytest.approx(expected_m, abs=0.01)
