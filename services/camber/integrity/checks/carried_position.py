@@ -120,7 +120,7 @@ class CarriedPosition:
             return pose
         if base.fix.time_ns == base.confirmed_ns:
             return pose  # it knows that fix, and all before it
-        place = self._moved(base, pose)
+        place = self._moved(base, pose.time_ns, pose)
         if place is None or not place.variance_m2 < pose_sigma_m(pose) ** 2:
             return pose
         fix = base.fix
@@ -225,35 +225,29 @@ class CarriedPosition:
         if base is None or not 0 < fix.time_ns - base.confirmed_ns <= self._rules.longest_s * 1e9:
             return None
         places = []
-        run = self._run
-        driven_m = None if run is None or run.last is not base.fix else self._driven(run, fix.time_ns, pose)
-        if driven_m is not None:
+        moved = self._moved(base, fix.time_ns, pose)
+        if moved is not None:
             east_m, north_m = _between(base.fix, fix)
-            metres = (
-                base.place.metres[0] + driven_m[0] - east_m,
-                base.place.metres[1] + driven_m[1] - north_m,
-            )
-            places.append(_Place(metres=metres, variance_m2=self._variance_by_odometry_m2(base, run, pose)))
+            places.append(replace(moved, metres=(moved.metres[0] - east_m, moved.metres[1] - north_m)))
         if pose.anchor_time_ns == base.confirmed_ns:
             east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
             variance_m2 = pose_sigma_m(pose) ** 2 + unsteady_m2(pose, fix.time_ns)
             places.append(_Place(metres=(-east_m, -north_m), variance_m2=variance_m2))
         return min(places, key=lambda place: place.variance_m2, default=None)
 
-    def _moved(self, base: _Carried, pose: Pose) -> _Place | None:
-        """The carried position at the time of a pose, seen from the fix of the base: by odometry, after a fix."""
+    def _moved(self, base: _Carried, time_ns: int, pose: Pose) -> _Place | None:
+        """The carried position at a time, seen from the fix of the base: by odometry, after a fix.
+
+        Wheels that slip are off by the same from fix to fix: it is wider by what the pose's σ has grown since.
+        """
         run = self._run
-        driven_m = None if run is None or run.last is not base.fix else self._driven(run, pose.time_ns, pose)
-        if driven_m is None:
+        driven_m = None if run is None or run.last is not base.fix else self._driven(run, time_ns, pose)
+        if run is None or driven_m is None:
             return None
         metres = base.place.metres[0] + driven_m[0], base.place.metres[1] + driven_m[1]
-        return _Place(metres=metres, variance_m2=self._variance_by_odometry_m2(base, run, pose))
-
-    def _variance_by_odometry_m2(self, base: _Carried, run: _Run | None, pose: Pose) -> float:
-        """After the way since the last fix: wheels that slip are off by the same from fix to fix, as the pose knows."""
-        grown_m = 0.0 if run is None else max(pose_sigma_m(pose) - pose_sigma_m(run.pose), 0.0)
+        grown_m = max(pose_sigma_m(pose) - pose_sigma_m(run.pose), 0.0)
         sigma_m = math.sqrt(base.place.variance_m2) + grown_m
-        return sigma_m * sigma_m + self._rules.odometry_m**2
+        return _Place(metres=metres, variance_m2=sigma_m * sigma_m + self._rules.odometry_m**2)
 
     def _continued(self, fix: Fix, pose: Pose) -> _Run | None:
         """The present run, where the fix is one more of it."""
