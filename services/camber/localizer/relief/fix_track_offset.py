@@ -18,7 +18,7 @@ from camber.localizer.arrays import Floats
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief.road_ribbon import RibbonPlane, RoadRibbon
 from camber.localizer.relief.terrain_contour_matching import HeightWindow, ShiftEstimate, estimate_shift
-from camber.localizer.relief.white_noise import white_sigma_m
+from camber.localizer.relief.white_noise import LEAST_WHITE_SIGMA_M, white_sigma_m
 
 _PRIOR_SIGMA_M: Final = 8.0  # chosen: larger vectors show against the independent position
 _PRIOR_GROWTH_M_S: Final = 0.2  # chosen: what grows faster leaves the path of odometry within 20 s
@@ -31,7 +31,6 @@ _GAP_M: Final = 40.0  # chosen: a fix a second at 40 m/s; a longer gap has no he
 _KNOWN_SHARE: Final = 0.7  # chosen: of the way, as the windows of docs/theory/relief.md
 _PLANES_M: Final = 2.0  # chosen: errors of a slope are millimetres over half of it
 _EVERY_M: Final = 100.0  # chosen: a tenth of the shortest window is new
-_UNKNOWN_WHITE_SIGMA_M: Final = 0.003  # chosen: no two neighbours are on the map, and nothing follows of them
 _NO_SHIFT: Final[Floats] = np.zeros(2)
 _SHIFTED_CHI2: Final = 9.21  # chi-square, 2 degrees of freedom, 99 %
 _FITS_CHI2: Final = 1.5  # chosen: of residuals; another place may fit better
@@ -173,6 +172,6 @@ def _window(heights: Sequence[TrackHeight], ribbon: RoadRibbon, model: HeightErr
         east_m=table[:, 2],
         north_m=table[:, 3],
         height_m=table[:, 4],
-        sigma_m=np.full(len(table), _UNKNOWN_WHITE_SIGMA_M if white_m is None else white_m),
+        sigma_m=np.full(len(table), LEAST_WHITE_SIGMA_M if white_m is None else white_m),
         map_sigma_m=table[:, 5],
     )

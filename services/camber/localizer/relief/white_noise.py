@@ -13,7 +13,7 @@ import numpy as np
 from camber.localizer.arrays import Floats
 from camber.localizer.relief.height_errors import HeightErrorModel
 
-_LEAST_SIGMA_M: Final = 0.003  # chosen: a heave of the vehicle on its springs
+LEAST_WHITE_SIGMA_M: Final = 0.003  # chosen: a heave of the vehicle on its springs
 _DEVIATIONS: Final = 1.4826  # σ of a normal distribution by its median deviation
 _MOST: Final = 100  # chosen: heights of half a kilometre
 _LEAST_COUNT: Final = 20  # derived: σ by the median of as many is known to a quarter
@@ -34,7 +34,7 @@ def white_sigma_m(
     map_m2 = (map_sigma_m[1:] ** 2 * (1.0 - model.map_errors.correlation(apart_m)))[known]
     change_m = _DEVIATIONS * float(np.median(np.abs(steps_m[known])))
     white_m2 = 0.5 * change_m**2 - float(np.median(map_m2))
-    return float(np.sqrt(max(white_m2, _LEAST_SIGMA_M**2)))
+    return float(np.sqrt(max(white_m2, LEAST_WHITE_SIGMA_M**2)))
 
 
 class _Residual(NamedTuple):
