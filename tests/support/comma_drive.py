@@ -10,8 +10,10 @@ the recording's true positions once a second, in it nothing but motion is used.
 
 from __future__ import annotations
 
+import copy
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -140,11 +142,24 @@ def windows(
     `anchored`: before the window, true positions once a second, with an error of `TRUTH_SIGMA_M`, have been confirmed
     since the recording's begin. Otherwise the window is all that the filter knows.
     """
-    end_s = (drive.motion[-1].time_ns - drive.motion[0].time_ns) * 1e-9
-    return [
-        _window(drive, begin_s, lasts_s, model=model or model_of_car(), anchored=anchored, seed=seed)
-        for begin_s in np.arange(0.0, end_s - lasts_s, 1.0).tolist()
-    ]
+    first_ns = drive.motion[0].time_ns
+    begins_s = np.arange(0.0, (drive.motion[-1].time_ns - first_ns) * 1e-9 - lasts_s, 1.0)
+    begins_ns = [first_ns + round(begin_s * 1e9) for begin_s in begins_s.tolist()]
+    rows = np.searchsorted([motion.time_ns for motion in drive.motion], begins_ns).tolist()
+    rng = np.random.default_rng(seed)
+    pose_filter = PoseFilter(model or model_of_car())
+    anchor_ns, row, result = 0, 0, []
+    for begin_ns, begin_row in zip(begins_ns, rows, strict=True):
+        if anchored:
+            for motion in drive.motion[row:begin_row]:
+                anchor_ns = _anchor(pose_filter, drive, motion, anchor_ns, rng)
+            row = begin_row
+        until_ns = begin_ns + round(lasts_s * 1e9)
+        motions = (motion for motion in drive.motion[begin_row:] if motion.time_ns <= until_ns)
+        result.append(
+            _window(copy.deepcopy(pose_filter), drive, motions, begin_s=(begin_ns - first_ns) * 1e-9)
+        )
+    return result
 
 
 def model_of_car(**motion: float) -> PoseModel:
@@ -152,32 +167,37 @@ def model_of_car(**motion: float) -> PoseModel:
     return PoseModel(motion=MotionModel(wheelbase_m=WHEELBASE_M, **motion))
 
 
+def _anchor(
+    pose_filter: PoseFilter, drive: CommaDrive, motion: Motion, anchor_ns: int, rng: np.random.Generator
+) -> int:
+    """Take one motion before a window; return when a true position was given last."""
+    _predict(pose_filter, motion)
+    now = motion.time_ns
+    if pose_filter.mode == "none":
+        _set_pose(pose_filter, now, drive.truth(now))
+    elif now - anchor_ns >= 1_000_000_000:
+        east, north = np.array(drive.truth(now)[:2]) + rng.normal(0.0, TRUTH_SIGMA_M, 2)
+        pose_filter.anchor(now, float(east), float(north), np.eye(2) * TRUTH_SIGMA_M**2)
+        return now
+    return anchor_ns
+
+
+def _predict(pose_filter: PoseFilter, motion: Motion) -> None:
+    pose_filter.predict(motion)
+    pose_filter.couple_rotation()
+
+
 def _window(
-    drive: CommaDrive, begin_s: float, lasts_s: float, *, model: PoseModel, anchored: bool, seed: int
+    pose_filter: PoseFilter, drive: CommaDrive, motions: Iterable[Motion], *, begin_s: float
 ) -> Window:
-    rng = np.random.default_rng(seed)
-    pose_filter = PoseFilter(model)
-    first_ns = drive.motion[0].time_ns
-    begin_ns, anchor_ns, blind = first_ns + round(begin_s * 1e9), 0, False
-    begun = drive.truth(begin_ns)
-    for motion in drive.motion:
-        now = motion.time_ns
-        if now < begin_ns and not anchored:
-            continue
-        if now > begin_ns + lasts_s * 1e9:
-            break
-        pose_filter.predict(motion)
-        pose_filter.couple_rotation()
-        if now >= begin_ns and not blind:
-            blind = True
-            begun = drive.truth(now)
-            _set_pose(pose_filter, now, begun)
-        elif not blind and pose_filter.mode == "none":
-            _set_pose(pose_filter, now, drive.truth(now))
-        elif not blind and now - anchor_ns >= 1_000_000_000:
-            anchor_ns = now
-            east, north = np.array(drive.truth(now)[:2]) + rng.normal(0.0, TRUTH_SIGMA_M, 2)
-            pose_filter.anchor(now, float(east), float(north), np.eye(2) * TRUTH_SIGMA_M**2)
+    """Dead reckoning from the true pose at the first motion to the last."""
+    begun = None
+    for motion in motions:
+        _predict(pose_filter, motion)
+        if begun is None:
+            begun = drive.truth(motion.time_ns)
+            _set_pose(pose_filter, motion.time_ns, begun)
+    assert begun is not None
     e = pose_filter.estimate()
     assert e is not None
     east, north, yaw, driven = drive.truth(e.time_ns)
