@@ -23,6 +23,7 @@ the others: of a candidate of the fixes it counts together with a common fault, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +44,7 @@ from camber.integrity.protection.position_bounds import (
     MixtureComponent,
 )
 from camber.integrity.protection.position_candidates import PositionCandidate, road_components
+from camber.integrity.scalar_or_array import FloatOrArray
 from camber.schemas.pose import Pose
 
 _LEAST_SHARE = 1e-13
@@ -63,17 +65,23 @@ def with_common_fault(
         return None
     faults = rules.common_fault
     parts = [part for part in candidate.mixture.parts if not part.is_latent]
-    latent = sum(part.weight for part in candidate.mixture.parts if part.is_latent)
-    rest = max(1.0 - latent, _LEAST_SHARE)
+    latent = _LatentFaults(
+        [part for part in candidate.mixture.parts if part.is_latent and part.weight != 0.0]
+    )
+    rest = max(1.0 - sum(part.weight for part in latent.parts), _LEAST_SHARE)
     if_right_m2 = _sum(_horizontal(candidate), offset.covariance_m2)
     odds = common_fault_odds(offset.difference_m, if_right_m2, faults)
-    after = _latent_after(candidate, offset, if_right_m2, faults)
-    total = 1.0 + odds.alone + odds.with_independent + sum(part.weight for part in after) / rest
-    if candidate.source in ("sensors", "scan_match"):
+    alone, with_independent = latent.weights_after(offset, if_right_m2, faults)
+    total = 1.0 + odds.alone + odds.with_independent + sum(alone + with_independent) / rest
+    of_the_map = candidate.source in ("sensors", "scan_match")
+    if of_the_map:
         parts = _with_shifted_map(parts, faults)
+    share = 1.0 / (rest * total)
     mixture = ErrorMixture(
         (
-            *(part.weighed(1.0 / (rest * total)) for part in (*parts, *after)),
+            *(part.weighed(share) for part in parts),
+            *latent.bounded([share * weight for weight in alone], offset, shares_errors=of_the_map),
+            *latent.unbounded([share * weight for weight in with_independent]),
             *_common_fault_parts(candidate, offset, odds=odds, total=total, rules=rules),
         ),
         candidate.mixture.lost,
@@ -81,39 +89,44 @@ def with_common_fault(
     return replace(candidate, mixture=mixture)
 
 
-def _latent_after(
-    candidate: PositionCandidate,
-    offset: OffsetFromIndependent,
-    if_right_m2: Horizontal,
-    faults: CommonFaultRules,
-) -> list[MixtureComponent]:
-    """The latent faults of the candidate after the comparison, with weights relative to those of its other parts."""
-    parts = [part for part in candidate.mixture.parts if part.is_latent and part.weight != 0.0]
-    if not parts:
-        return []
-    horizontal_m2 = _columns([part.horizontal_m2 for part in parts])
-    mean_east_m, mean_north_m, _ = _columns([part.mean_m for part in parts])
-    if_wrong_m2 = _sum(horizontal_m2, offset.covariance_m2)
-    both_m2 = _plus(if_wrong_m2, faults.independent_sigma_m)
-    off_m = offset.difference_m[0] - mean_east_m, offset.difference_m[1] - mean_north_m
-    right = offset.difference_m, if_right_m2
-    ratios = likelihood_ratio(off_m, if_wrong_m2, *right).tolist()
-    both = likelihood_ratio(off_m, both_m2, *right).tolist()
-    shares_errors = candidate.source in ("sensors", "scan_match")
-    bounded_m2 = np.transpose(_conditional(horizontal_m2, offset.covariance_m2, shares_errors)).tolist()
-    result = []
-    for part, ratio, (ee, en, nn) in zip(parts, ratios, bounded_m2, strict=True):
-        mean_m = *offset.difference_m, part.mean_m[2]
-        result.append(part._replace(weight=ratio * part.weight, mean_m=mean_m, horizontal_m2=(ee, en, nn)))
-    doubted = [
-        part.weighed(faults.independent_prior * ratio) for part, ratio in zip(parts, both, strict=True)
-    ]
-    return [*result, *doubted]
+class _LatentFaults:
+    """The latent faults of a candidate, compared with the independent position all at once."""
 
+    def __init__(self, parts: list[MixtureComponent]) -> None:
+        self.parts = parts
+        rows = [(part.weight, *part.mean_m, *part.horizontal_m2) for part in parts]
+        self._weight, *self._mean_m, _, ee, en, nn = np.reshape(rows, (-1, 7)).T
+        self._horizontal_m2 = ee, en, nn
 
-def _columns(rows: list[tuple[float, float, float]]) -> HorizontalColumns:
-    first, second, third = np.array(rows).T
-    return first, second, third
+    def weights_after(
+        self, offset: OffsetFromIndependent, if_right_m2: Horizontal, faults: CommonFaultRules
+    ) -> tuple[list[float], list[float]]:
+        """Relative to those of the other parts; where the candidate alone is at fault, and both positions."""
+        (east_m, north_m), (mean_east_m, mean_north_m) = offset.difference_m, self._mean_m
+        prior, fault_m2 = np.array([[1.0, faults.independent_prior], [0.0, faults.independent_sigma_m**2]])
+        ratio = likelihood_ratio(
+            (east_m - mean_east_m, north_m - mean_north_m),
+            _plus(_sum(self._horizontal_m2, offset.covariance_m2), fault_m2[:, None]),
+            offset.difference_m,
+            if_right_m2,
+        )
+        alone, both = (prior[:, None] * ratio * self._weight).tolist()
+        return alone, both
+
+    def bounded(
+        self, weights: list[float], offset: OffsetFromIndependent, *, shares_errors: bool
+    ) -> Iterator[MixtureComponent]:
+        """With these weights, and where the independent position says, which is right."""
+        covariances_m2 = _conditional(self._horizontal_m2, offset.covariance_m2, shares_errors)
+        columns = zip(*(column.tolist() for column in covariances_m2), strict=True)
+        east_m, north_m = offset.difference_m
+        for part, weight, (ee, en, nn) in zip(self.parts, weights, columns, strict=True):
+            mean_m = east_m, north_m, part.mean_m[2]
+            yield MixtureComponent(weight, (ee, en, nn), part.up_m2, mean_m, is_latent=True)
+
+    def unbounded(self, weights: list[float]) -> Iterator[MixtureComponent]:
+        """With these weights, and as before: the independent position is at fault too."""
+        return (MixtureComponent(weight, *part[1:]) for part, weight in zip(self.parts, weights, strict=True))
 
 
 def _conditional(
@@ -144,9 +157,9 @@ def _sum(one_m2: HorizontalColumns, other_m2: HorizontalColumns) -> HorizontalCo
     return one_m2[0] + other_m2[0], one_m2[1] + other_m2[1], one_m2[2] + other_m2[2]
 
 
-def _plus(covariance_m2: HorizontalColumns, sigma_m: float) -> HorizontalColumns:
+def _plus(covariance_m2: HorizontalColumns, variance_m2: FloatOrArray) -> HorizontalColumns:
     ee, en, nn = covariance_m2
-    return ee + sigma_m**2, en, nn + sigma_m**2
+    return ee + variance_m2, en, nn + variance_m2
 
 
 def _common_fault_parts(
@@ -181,4 +194,4 @@ def _with_shifted_map(parts: list[MixtureComponent], faults: CommonFaultRules) -
 
 
 def _wider(part: MixtureComponent, sigma_m: float) -> MixtureComponent:
-    return part._replace(horizontal_m2=_plus(part.horizontal_m2, sigma_m))
+    return part._replace(horizontal_m2=_plus(part.horizontal_m2, sigma_m**2))

@@ -94,26 +94,14 @@ class MixtureComponent(NamedTuple):
 
     def weighed(self, share: float) -> MixtureComponent:
         """The same with a share of its weight."""
-        return MixtureComponent(
-            weight=share * self.weight,
-            horizontal_m2=self.horizontal_m2,
-            up_m2=self.up_m2,
-            mean_m=self.mean_m,
-            is_latent=self.is_latent,
-        )
+        return MixtureComponent(share * self.weight, *self[1:])
 
 
 def widened(part: MixtureComponent, covariance: Sequence[float]) -> MixtureComponent:
     """The part with the errors of a covariance (ee, en, eu, nn, nu, uu) [m²] added."""
-    (ee, en, nn) = part.horizontal_m2
-    added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    return MixtureComponent(
-        weight=part.weight,
-        horizontal_m2=added,
-        up_m2=float(part.up_m2 + covariance[5]),
-        mean_m=part.mean_m,
-        is_latent=part.is_latent,
-    )
+    (ee, en, nn), (added_ee, added_en, _, added_nn, _, added_uu) = part.horizontal_m2, covariance
+    wider_m2 = ee + added_ee, en + added_en, nn + added_nn
+    return MixtureComponent(part.weight, wider_m2, part.up_m2 + added_uu, *part[3:])
 
 
 @dataclass(frozen=True, slots=True)

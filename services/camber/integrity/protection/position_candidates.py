@@ -15,6 +15,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judgement import FixJudgement
@@ -113,11 +115,8 @@ def of_doppler(
     to_latitude_rad = latitude_rad + north_m / (meridian_radius_m(latitude_rad) + height_m)
     middle_rad = 0.5 * (latitude_rad + to_latitude_rad)
     around_m = (prime_vertical_radius_m(middle_rad) + height_m) * math.cos(middle_rad)
-    p = moved.covariance_m2
-    added = (p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2])
-    ee, en, eu, nn, nu, uu = (
-        float(one + other) for one, other in zip(base.covariance_enu_m2, added, strict=True)
-    )
+    added = moved.covariance_m2[np.triu_indices(3)].tolist()
+    ee, en, eu, nn, nu, uu = (one + other for one, other in zip(base.covariance_enu_m2, added, strict=True))
     grown = tuple(widened(part, added) for part in base.mixture.parts)
     return PositionCandidate(
         source="doppler",
@@ -185,7 +184,8 @@ def _with_pose(
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A pose that was pulled along, with its own errors; the height is that of the road."""
     (ee, en, nn), (p_ee, p_en, p_nn) = pulled.horizontal_m2, pose.horizontal_m2
-    wider = pulled._replace(horizontal_m2=(ee + p_ee, en + p_en, nn + p_nn), up_m2=pose.up_m2)
+    together = ee + p_ee, en + p_en, nn + p_nn
+    wider = MixtureComponent(pulled.weight, together, pose.up_m2, pulled.mean_m, pulled.is_latent)
     return road_components(wider, pulled.weight, rules)
 
 
@@ -260,10 +260,11 @@ def road_components(
     part: MixtureComponent, weight: float, rules: LevelRules
 ) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
-    changed = rules.changed_road_prior
-    surveyed = part._replace(weight=(1.0 - changed) * weight)
-    changed_road = part._replace(weight=changed * weight, up_m2=part.up_m2 + rules.changed_road_sigma_m**2)
-    return surveyed, changed_road
+    changed, up_m2 = rules.changed_road_prior, part.up_m2 + rules.changed_road_sigma_m**2
+    return (
+        MixtureComponent((1.0 - changed) * weight, *part[1:]),
+        MixtureComponent(changed * weight, part.horizontal_m2, up_m2, *part[3:]),
+    )
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:
