@@ -37,6 +37,7 @@ or (n,)."""
 
 _NODES = 24  # chosen: the tails are then within _MARGIN of the exact ones (test_protection_level.py)
 _ANGLES = (np.arange(_NODES // 2)[:, None, None] + 0.5) * (2.0 * math.pi / _NODES)
+_COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 _STEPS = 40  # two or three do, some fourteen where P jumps
 _SMALLEST_M2 = 1e-30  # beside a variance that may be nothing at all
 _LEAST = 1e-300  # in place of nothing that divides or has a logarithm
@@ -98,12 +99,13 @@ class _TailProbability:
         self._weight, self._length2 = weight, along_m * along_m + across_m * across_m
         self._log_weight, self._length = np.log(weight + _LEAST), np.sqrt(self._length2)
         self._twice_m2 = 2.0 * larger_m2
+        self._farthest2 = self._length2.max().item()
         self._thin = math.pi * (1.0 - smaller_m2 / (larger_m2 + _SMALLEST_M2))
-        angles = _ANGLES if across_m.any() else _ANGLES[: _NODES // 4]
-        x, y = np.sqrt(larger_m2) * np.cos(angles), np.sqrt(smaller_m2) * np.sin(angles)
+        nodes = _NODES // 2 if across_m.any() else _NODES // 4
+        x, y = np.sqrt(larger_m2) * _COS[:nodes], np.sqrt(smaller_m2) * _SIN[:nodes]
         square = x * x + y * y + _SMALLEST_M2
         self._rate, self._outwards = -0.5 / square, (along_m * x + across_m * y) / np.sqrt(square)
-        if self._length2.any():
+        if self._farthest2 != 0.0:
             self._rate = np.concatenate((self._rate, self._rate))
             self._outwards = np.concatenate((self._outwards, -self._outwards))
         self._outwards2 = self._outwards * self._outwards
@@ -131,15 +133,17 @@ class _TailProbability:
     def _beyond(self, level_m2: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray]:
         """P(|error| > L), or never less, and its slope over L²."""
         room = level_m2 - self._length2
-        # By more than rounding: where P jumps the level lies on the far side, also when it is evaluated again.
-        nearer = room < _ROUNDING * level_m2
         straight = np.sqrt(np.maximum(room, _LEAST) + self._outwards2)
         distance = straight - self._outwards
         steep = distance * self._rate
         at_node = np.exp(distance * steep)
-        tail = np.where(nearer, self._weight, self._share * at_node.sum(axis=0))
-        fall = np.where(nearer, 0.0, self._share * (at_node * steep / straight).sum(axis=0))
-        return _alike(tail.sum(axis=0), level_m2), _alike(fall.sum(axis=0), level_m2)
+        tail = self._share * np.add.reduce(at_node)
+        fall = self._share * np.add.reduce(at_node * steep / straight)
+        # By more than rounding: where P jumps the level lies on the far side, also when it is evaluated again.
+        if any_of(level_m2 - self._farthest2 < _ROUNDING * level_m2):
+            nearer = room < _ROUNDING * level_m2
+            tail, fall = np.where(nearer, self._weight, tail), np.where(nearer, 0.0, fall)
+        return _alike(np.add.reduce(tail), level_m2), _alike(np.add.reduce(fall), level_m2)
 
     def _about(self, log_risk: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray, FloatOrArray]:
         """L² that is too small, one that is large enough, and one between to begin with."""
