@@ -83,7 +83,12 @@ class LatentFaultHypothesis:
         """
         remaining_share = self.remaining_share(time_ns, rules)
         lasted = [
-            part._replace(odds=remaining_share * part.odds, marked_odds=remaining_share * part.marked_odds)
+            LatentFaultPart(
+                remaining_share * part.odds,
+                part.horizontal_m2,
+                part.up_m2,
+                remaining_share * part.marked_odds,
+            )
             for part in self.parts
         ]
         begun = (1.0 - remaining_share) * odds
@@ -112,14 +117,9 @@ class LatentFaultHypothesis:
     def components(self, share: float, least: float = 0.0) -> tuple[MixtureComponent, ...]:
         """What was pulled along, `share` of its odds as weights; those of `least` or less are left out."""
         return tuple(
-            MixtureComponent(
-                weight=share * part.odds,
-                horizontal_m2=(part.horizontal_m2, 0.0, part.horizontal_m2),
-                up_m2=part.up_m2,
-                is_latent=True,
-            )
-            for part in self.parts
-            if share * part.odds > least
+            MixtureComponent(share * odds, (horizontal_m2, 0.0, horizontal_m2), up_m2, is_latent=True)
+            for odds, horizontal_m2, up_m2, _ in self.parts
+            if share * odds > least
         )
 
 
@@ -141,14 +141,12 @@ def _by_class(parts: Sequence[LatentFaultPart]) -> tuple[LatentFaultPart, ...]:
         number = math.ceil(_CLASSES * math.log2(max(part.horizontal_m2, _LEAST_M2)))
         before = classes.get(number)
         if before is None:
-            classes[number] = part._replace(horizontal_m2=2.0 ** (number / _CLASSES))
+            classes[number] = LatentFaultPart(part.odds, 2.0 ** (number / _CLASSES), *part[2:])
             continue
         odds = before.odds + part.odds
-        classes[number] = before._replace(
-            odds=odds,
-            marked_odds=before.marked_odds + part.marked_odds,
-            up_m2=before.up_m2 + part.odds / odds * (part.up_m2 - before.up_m2),
-        )
+        up_m2 = before.up_m2 + part.odds / odds * (part.up_m2 - before.up_m2)
+        marked_odds = before.marked_odds + part.marked_odds
+        classes[number] = LatentFaultPart(odds, before.horizontal_m2, up_m2, marked_odds)
     return tuple(classes[number] for number in sorted(classes, reverse=True))
 
 
