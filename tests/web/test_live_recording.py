@@ -17,7 +17,7 @@ from camber.formats.drive.mcap_recorder import Recorder
 from camber.replay.short_drive import START_NS, write_short_drive
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
-from camber.schemas.gnss import SATELLITE_USES, Fix, SatellitesInView
+from camber.schemas.gnss import SATELLITE_USES, Fix, SatellitesInView, SatelliteUse
 from camber.schemas.integrity import Verdict
 from camber.schemas.pose import ScanMatchPoints
 from support.browser import WatchedPage, chromium, served_address, watched
@@ -136,16 +136,22 @@ def test_of_a_recording_cut_in_half_the_readable_part_is_shown(
 
 
 def satellites(time_ns: int) -> SatellitesInView:
-    """One satellite in the south that is used, one in the west that is not, one without a direction."""
+    """One satellite in the south that is used, one in the west that is not, others without a direction."""
+    uses: dict[str, SatelliteUse] = {
+        "G05": "used",
+        "E11": "outlier",
+        "C07": "no_ephemeris",
+        "R03": "use_not_reported",
+    }
     return SatellitesInView(
         time_ns=time_ns,
         quality="fixed",
-        satellite=np.array([ord("G") * 256 + 5, ord("E") * 256 + 11, ord("C") * 256 + 7], np.int32),
-        present=np.array([3, 3, 2], np.uint8),
-        azimuth_rad=np.array([math.pi, 1.5 * math.pi, 0.0], np.float32),
-        elevation_rad=np.array([0.5, 0.5, 0.0], np.float32),
-        cn0_dbhz=np.array([50.0, 30.0, 30.0], np.float32),
-        use=np.array([SATELLITE_USES.index(use) for use in ("used", "outlier", "no_ephemeris")], np.uint8),
+        satellite=np.array([ord(name[0]) * 256 + int(name[1:]) for name in uses], np.int32),
+        present=np.array([3, 3, 2, 2], np.uint8),
+        azimuth_rad=np.array([math.pi, 1.5 * math.pi, 0.0, 0.0], np.float32),
+        elevation_rad=np.array([0.5, 0.5, 0.0, 0.0], np.float32),
+        cn0_dbhz=np.array([50.0, 30.0, 30.0, 30.0], np.float32),
+        use=np.array([SATELLITE_USES.index(use) for use in uses.values()], np.uint8),
     )
 
 
@@ -157,9 +163,10 @@ def test_the_sky_has_the_satellites_and_names_why_some_are_left_out(
         shown = opened(ends, browser, path, "#theme=light")
         shown.wait_for("document.querySelector('camber-sky canvas').ariaLabel?.startsWith('1 used')")
         sky = shown.page.locator("camber-sky")
-        assert "1 used, 2 left out; position: fixed" in sky.text_content()
+        assert "1 used, 2 left out, 1 not reported; position: fixed" in sky.text_content()
         assert "codes contradict the others: E11" in sky.text_content()
         assert "no ephemeris: C07" in sky.text_content()
+        assert "used or not, not reported: R03" in sky.text_content()
         # Filled as strong as it is, half-way down in the middle; the other one at the left is not filled.
         filled = (79, 143, 131)
         picture = Image.open(io.BytesIO(sky.locator("canvas").screenshot())).convert("RGB")

@@ -45,10 +45,14 @@ SatelliteUse = Literal[
     "outlier",
     "not_differenced",
     "no_position",
+    "unhealthy",
+    "reason_not_reported",
+    "use_not_reported",
 ]
 """Whether a satellite is in the position, or why not. `integers_unresolved`: only its codes are, of a fixed position.
 `outlier`: its codes contradict the others. `not_differenced`: the base has no signal of it that can be paired.
-`no_position`: the epoch has none."""
+`no_position`: the epoch has none. `no_pseudorange`: also a satellite that a receiver does not track.
+`reason_not_reported`: the receiver leaves it out; `use_not_reported`: it does not report whether."""
 SATELLITE_USES: tuple[SatelliteUse, ...] = get_args(SatelliteUse)
 
 
@@ -83,10 +87,11 @@ class Observations(Message):
 
 
 class SatellitesInView(Message):
-    """The satellites of one epoch of the RTK engine: direction, C/N0, and which are in the position; one row each.
+    """The satellites of one epoch: direction, C/N0, and which are in the position; one row each.
 
-    Only of systems that the engine uses. `satellite` is as in Observations; the bits of `present` say what a row has:
-    0 azimuth and elevation, 1 C/N0. `use` is the place of a term in `SATELLITE_USES`.
+    Of the RTK engine: those of the systems that it uses. Of a receiver's own position: those that the receiver lists.
+    `satellite` is as in Observations; the bits of `present` say what a row has: 0 azimuth and elevation, 1 C/N0. `use`
+    is the place of a term in `SATELLITE_USES`.
     """
 
     quality: Quality = Field(description="of the epoch's position")

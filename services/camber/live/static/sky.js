@@ -6,10 +6,12 @@ import { SnapshotReader } from "./snapshots.js";
 const RAMP = [[25, [182, 90, 106]], [32, [226, 154, 75]], [38, [224, 207, 106]], [44, [143, 181, 115]], [50, [79, 143, 131]]]; // dB-Hz
 const RINGS_DEG = [0, 30, 60];
 const STALE_S = 5;
-const NOTHING = "No satellites are published. The gnss service does so where it solves raw observations itself (positions = engine).";
+const NOTHING = "No satellites are published. The gnss service does so where it solves raw observations itself, or where the receiver sends them: UBX-NAV-SAT with NAV-PVT, or NMEA GSV and GSA with GGA.";
+const NOT_REPORTED = "use_not_reported";
 const REASONS = {
   integers_unresolved: "integers not resolved", no_pseudorange: "no pseudorange", no_ephemeris: "no ephemeris", below_elevation_mask: "below the elevation mask",
   below_cn0_mask: "below the C/N0 mask", outlier: "codes contradict the others", not_differenced: "not seen by the base", no_position: "no position of this epoch",
+  unhealthy: "unhealthy", reason_not_reported: "reason not reported", [NOT_REPORTED]: "used or not, not reported",
 };
 
 function cn0Colour(level) {
@@ -50,11 +52,12 @@ export class CamberSky extends HTMLElement {
       setText(this.line, sky ? `No satellites for ${duration(age)}.` : NOTHING);
       return;
     }
-    const left = sky.satellites.filter(([, , , , use]) => use !== "used");
-    setText(this.line, `${sky.satellites.length - left.length} used, ${left.length} left out; position: ${plain(sky.quality)}`);
+    const others = sky.satellites.filter(([, , , , use]) => use !== "used"), open = others.filter(([, , , , use]) => use === NOT_REPORTED).length;
+    const counts = [`${sky.satellites.length - others.length} used`, `${others.length - open} left out`, ...(open ? [`${open} not reported`] : [])];
+    setText(this.line, `${counts.join(", ")}; position: ${plain(sky.quality)}`);
     this.canvas.setAttribute("aria-label", this.line.textContent);
     this.drawPlot(sky.satellites);
-    const byReason = Map.groupBy ? Map.groupBy(left, row => row[4]) : left.reduce((map, row) => map.set(row[4], [...map.get(row[4]) ?? [], row]), new Map());
+    const byReason = Map.groupBy ? Map.groupBy(others, row => row[4]) : others.reduce((map, row) => map.set(row[4], [...map.get(row[4]) ?? [], row]), new Map());
     this.reasons.replaceChildren(...[...byReason].map(([use, rows]) => element("p", {}, element("b", {}, `${REASONS[use] ?? plain(use)}: `), rows.map(([name]) => name).join(", "))));
   }
 
@@ -72,7 +75,7 @@ export class CamberSky extends HTMLElement {
     for (const [name, azimuth, elevation, level, use] of ordered) {
       if (azimuth === null) continue;
       const away = radius * (90 - Math.max(elevation, 0)) / 90, angle = azimuth * Math.PI / 180;
-      this.drawSatellite(c, { x: middle + away * Math.sin(angle), y: middle - away * Math.cos(angle), unit }, { name, level, isUsed: use === "used" });
+      this.drawSatellite(c, { x: middle + away * Math.sin(angle), y: middle - away * Math.cos(angle), unit }, { name, level, isUsed: use === "used", isLeft: use !== "used" && use !== NOT_REPORTED });
     }
   }
 
@@ -92,14 +95,14 @@ export class CamberSky extends HTMLElement {
     for (const elevation of RINGS_DEG) c.fillText(`${elevation}°`, middle + .38 * radius * (90 - elevation) / 90, middle - .92 * radius * (90 - elevation) / 90 + 6 * unit);
   }
 
-  drawSatellite(c, { x, y, unit }, { name, level, isUsed }) {
+  drawSatellite(c, { x, y, unit }, { name, level, isUsed, isLeft }) {
     c.beginPath();
     c.arc(x, y, 10 * unit, 0, 2 * Math.PI);
     c.fillStyle = isUsed ? cn0Colour(level) : colour("card");
     c.fill();
     c.lineWidth = isUsed ? 1 : 1.6;
-    c.setLineDash(isUsed ? [] : [3, 2]);
-    c.strokeStyle = isUsed ? colour("card") : colour("erroneous");
+    c.setLineDash(isLeft ? [3, 2] : []);
+    c.strokeStyle = colour(isUsed ? "card" : isLeft ? "erroneous" : "unknown");
     c.stroke();
     c.setLineDash([]);
     c.fillStyle = isUsed ? "#10151c" : colour("ink");
