@@ -1,4 +1,4 @@
-"""NMEA 0183 position streams: GGA, GST and a date combined by epoch; and GBS.
+"""NMEA 0183 position streams: GGA, GST and a date combined by epoch; GBS; GSV with GSA.
 
 A GGA sentence contains neither its date nor its uncertainty nor the ellipsoidal height in one number, so:
 
@@ -13,6 +13,8 @@ Until that is learnt, and whenever that sentence is missing, the solution is ret
 next epoch: a delay of one epoch. At the end of a stream `finish` returns the rest. Nothing depends on a clock.
 
 A GBS sentence is returned at once, as the receiver's integrity report of that time.
+
+GSV and GSA contain no time: they belong to the epoch in which they stand, and are returned when the next one begins.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from datetime import date, timedelta
 from pathlib import Path
 
 from camber.formats.errors import FormatError
+from camber.formats.nmea import satellite_sentences
 from camber.formats.nmea.sentences import READERS, Sentence, SentenceContent, SentenceFields, parse_sentence
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import IntegrityReport
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import Fields, ReceiverSolution
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import (
@@ -37,7 +41,8 @@ from camber.geodesy.gps_time import (
 )
 from camber.schemas.gnss import ReceiverIntegrity
 
-NmeaResult = ReceiverSolution | ReceiverIntegrity | FormatError
+NmeaResult = ReceiverSolution | ReceiverIntegrity | SatelliteReport | FormatError
+_KINDS = {*READERS, *satellite_sentences.KINDS}
 _CHUNK_BYTES = 65536  # chosen: memory of a file reader
 
 
@@ -47,6 +52,7 @@ class _NmeaEpoch:
 
     time_of_day_ns: int
     last_kind: str
+    has_gga: bool = False
     solution: Fields | None = None
     byte_offset: int = 0
     covariance_enu_m2: EnuCovariance | None = None
@@ -73,6 +79,8 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
         """GGA sentences of a receiver without position."""
         self.late_sentences = 0
         """GGA and GST sentences received after their epoch had been emitted, and lost."""
+        self.satellites = satellite_sentences.SatelliteSentences()
+        """With the counters of GSV and GSA."""
         self._malformed_bytes = 0
         self._report = IntegrityReport() if report is None else report
         self._last: str | None = None
@@ -86,6 +94,11 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
         """Bytes that are not part of a sentence: other protocols on the same port, and malformed sentences."""
         return super().bytes_skipped + self._malformed_bytes
 
+    @property
+    def incomplete(self) -> int:
+        """Groups of GSV with a missing or repeated sentence."""
+        return self.satellites.incomplete
+
     def _take(self, frame: Frame) -> list[NmeaResult]:
         return self.take(frame.data, frame.byte_offset)
 
@@ -95,7 +108,7 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
         if isinstance(sentence, FormatError):
             self._malformed_bytes += len(text)
             return [sentence]
-        if sentence.kind in READERS and not sentence.talker.startswith("P"):
+        if sentence.kind in _KINDS and not sentence.talker.startswith("P"):
             return self._sentence(sentence)
         return []
 
@@ -111,11 +124,14 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
 
     def _sentence(self, sentence: Sentence) -> list[NmeaResult]:
         fields = SentenceFields(self.source_name, sentence)
-        if not fields.text(0):
-            # Receivers send empty sentences until they know the time.
-            self.epochs_without_position += sentence.kind == "GGA"
-            return []
         try:
+            if sentence.kind in satellite_sentences.KINDS:
+                self.satellites.take(sentence.kind, fields)
+                return []
+            if not fields.text(0):
+                # Receivers send empty sentences until they know the time.
+                self.epochs_without_position += sentence.kind == "GGA"
+                return self._end() if sentence.kind == "GGA" else []
             content = READERS[sentence.kind](fields)
         except FormatError as error:
             return [error]
@@ -132,6 +148,7 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
             self._epoch = _NmeaEpoch(time_of_day_ns=content.time_of_day_ns, last_kind=sentence.kind)
         epoch = self._epoch
         epoch.last_kind = sentence.kind
+        epoch.has_gga |= sentence.kind == "GGA"
         results += self._store(epoch, sentence, content)
         if sentence.kind == self._last:
             results += self._emit(epoch)
@@ -169,13 +186,20 @@ class NmeaDecoder(FramedDecoder[NmeaResult]):
     def _end(self) -> list[NmeaResult]:
         """End the open epoch, and learn from its last sentence."""
         epoch, self._epoch = self._epoch, None
+        satellites = self.satellites.take_view()
         if epoch is None:
             return []
         if epoch.solution is not None:
             if epoch.last_kind == self._previous_last:
                 self._last = epoch.last_kind
             self._previous_last = epoch.last_kind
-        return self._emit(epoch)
+        results = self._emit(epoch)
+        day = epoch.day or self._day_at(epoch.time_of_day_ns)
+        time_ns = None if day is None else _gps_ns(day, epoch.time_of_day_ns)
+        if satellites is None or time_ns is None or not epoch.has_gga:
+            return results
+        quality = None if epoch.solution is None else epoch.solution["quality"]
+        return [*results, SatelliteReport(time_ns=time_ns, quality=quality, satellites=satellites)]
 
     def _emit(self, epoch: _NmeaEpoch) -> list[NmeaResult]:
         if epoch.solution is None or epoch.emitted:

@@ -17,6 +17,8 @@ from datetime import date
 from pynmeagps.nmeahelpers import calc_checksum, get_parts
 
 from camber.formats.errors import FormatError
+from camber.formats.nmea.satellite_numbers import SYSTEM_OF_ID, SYSTEM_OF_TALKER, satellite_of
+from camber.formats.observations import satellite_name
 from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES
 from camber.formats.receiver.printed_covariance import covariance_from_printed
 from camber.formats.receiver.solution import Fields, SolutionQuality
@@ -98,6 +100,11 @@ class SentenceFields:
         self._sentence = sentence
         self.byte_offset = sentence.byte_offset
         self.talker = sentence.talker
+
+    @property
+    def count(self) -> int:
+        """Number of fields."""
+        return len(self._sentence.fields)
 
     def text(self, index: int) -> str:
         """Return the field without surrounding blanks; empty where it is absent."""
@@ -228,12 +235,6 @@ def _read_gst(fields: SentenceFields) -> SentenceContent:
     return SentenceContent(time_of_day_ns=time_of_day_ns, covariance_enu_m2=covariance_enu_m2)
 
 
-# NMEA 0183 v4.11, 6.3: the letter by GNSS system id (from 4.10 on), else by talker; offsets of satellite numbers.
-_SYSTEMS = {"1": "G", "2": "R", "3": "E", "4": "C", "5": "J", "6": "I"}
-_TALKER_SYSTEMS = {"GP": "G", "GL": "R", "GA": "E", "GB": "C", "BD": "C", "GQ": "J", "GI": "I"}
-_OFFSETS = {"R": (64,), "E": (300,), "C": (100, 200, 400), "J": (192,)}
-
-
 def _read_gbs(fields: SentenceFields) -> SentenceContent:
     """Failed: with a suspect satellite, used in the position or not. Passed: with expected errors only.
 
@@ -258,14 +259,9 @@ def _read_gbs(fields: SentenceFields) -> SentenceContent:
 
 def _satellite(fields: SentenceFields, number: int) -> str:
     """Return `G05`, or the number alone where its system is unknown."""
-    system = _SYSTEMS.get(fields.text(8)) or _TALKER_SYSTEMS.get(fields.talker, "")
-    if system == "G" and number > 32:
-        # SBAS 120 to 151 are 33 to 64, with any talker.
-        system, number = ("S", number - 13) if number <= 64 else ("", number)
-    for offset in _OFFSETS.get(system, ()):
-        if offset < number <= offset + 63:
-            number -= offset
-    return f"{system}{number:02d}"
+    system = SYSTEM_OF_ID.get(fields.text(8)) or SYSTEM_OF_TALKER.get(fields.talker)
+    satellite = None if system is None else satellite_of(system, number)
+    return f"{number:02d}" if satellite is None else satellite_name(satellite)
 
 
 def _read_rmc(fields: SentenceFields) -> SentenceContent:
