@@ -138,7 +138,7 @@ def _nmea(random: Random) -> list[list[bytes]]:
         [
             part
             for one in _solutions(random)
-            for part in (*(kind(one)[1:-5] for kind in kinds), *_date_and_raim(one))
+            for part in (*(kind(one)[1:-5] for kind in kinds), *_date_and_raim(one), *_satellites(random))
         ]
         for _ in range(8)
     ]
@@ -147,6 +147,20 @@ def _nmea(random: Random) -> list[list[bytes]]:
 def _date_and_raim(solution: ReceiverSolution) -> list[bytes]:
     at = format_rmc(solution).split(b",")[1]
     return [b"GPZDA,%b,12,07,2023,00,00" % at, b"GNGBS,%b,1.6,1.4,3.2,03,,-21.4,3.8,1,0" % at]
+
+
+def _satellites(random: Random) -> list[bytes]:
+    """GSA of all systems, of which one may be full, and groups of GSV by talker and signal."""
+    numbers = [",".join(str(random.randrange(1, 97)) for _ in range(12)), ",".join(["07", "11", *[""] * 10])]
+    contents = [f"GNGSA,A,3,{random.choice(numbers)},1.7,0.9,1.5,{system}" for system in range(1, 6)]
+    for talker, signal in (("GP", "1"), ("GP", "6"), ("GL", "0"), ("GA", "7"), ("GB", ""), ("GN", "A")):
+        for part in (1, 2):
+            rows = ",".join(
+                f"{random.randrange(1, 400)},{random.choice(('', '45'))},120,{random.choice(('', '33'))}"
+                for _ in range(random.randrange(1, 5))
+            )
+            contents.append(f"{talker}GSV,2,{part},08,{rows},{signal}")
+    return [content.encode() for content in contents]
 
 
 def _nmea_sentence(content: bytes) -> bytes:
@@ -181,10 +195,14 @@ def _ubx(random: Random) -> list[list[bytes]]:
 def _navigation_epoch(random: Random, solution: ReceiverSolution) -> list[bytes]:
     of_week = struct.pack("<I", week_tow_from_gps_ns(solution.time_ns)[1] // 1_000_000)
     covariance = struct.pack("<6f", 4e-4, 1e-5, 0.0, 4e-4, 0.0, 1e-3)
+    blocks = b"".join(
+        bytes([random.randrange(8), random.randrange(1, 40)]) + random.randbytes(10) for _ in range(20)
+    )
     levels = struct.pack("<3I", *(random.randrange(60_000) for _ in range(3)))
     return [
         format_position_velocity_time(solution, geoid_separation_m=37.5),
         format_high_precision_position(solution, geoid_separation_m=37.5),
+        ubx_frame(0x01, 0x35, of_week + bytes([1, 20, 0, 0]) + blocks),
         ubx_frame(0x01, 0x36, of_week + bytes([0, 1, 1]) + bytes(9) + 2 * covariance),
         ubx_frame(0x01, 0x3C, bytes([1, 0, 7, 0]) + of_week + random.randbytes(52) + b"\x37\x01\x00\x00"),
         ubx_frame(0x01, 0x62, bytes([1, 5, 253, 1, 1, 0, 0, 0, *bytes(4)]) + of_week + levels + bytes(24)),

@@ -7,6 +7,7 @@ from datetime import date
 from camber.formats.nmea.epochs import NmeaDecoder, NmeaResult
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder, FrameProtocol
 from camber.formats.receiver.integrity_report import IntegrityReport
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rtcm.reader import RtcmDecoder, RtcmResult
 from camber.formats.ubx.rawx_reader import RawxEpoch
@@ -20,7 +21,8 @@ class MixedDecoder(FramedDecoder[MixedResult]):
 
     `near_ns` as for `UbxMessages` and `RtcmDecoder`; without it RTCM is decoded as soon as UBX or NMEA contain a date.
     Protocols that are not in `protocols` are skipped like garbage.
-    Where UBX contains positions (NAV-PVT), those of NMEA would be duplicates and are only counted.
+    Where UBX contains positions (NAV-PVT) or satellites (NAV-SAT), those of NMEA would be duplicates and are only
+    counted.
     """
 
     def __init__(
@@ -42,6 +44,8 @@ class MixedDecoder(FramedDecoder[MixedResult]):
         """Messages of RTCM before there was a date."""
         self.positions_not_used = 0
         """Positions of NMEA that UBX contains too."""
+        self.satellites_not_used = 0
+        """Reports of satellites of NMEA that UBX contains too."""
 
     @property
     def bytes_skipped(self) -> int:
@@ -78,6 +82,9 @@ class MixedDecoder(FramedDecoder[MixedResult]):
                 if self.ubx.has_positions:
                     self.positions_not_used += 1
                     continue
+            if isinstance(result, SatelliteReport) and self.ubx.has_satellites:
+                self.satellites_not_used += 1
+                continue
             kept.append(result)
         return kept
 

@@ -10,7 +10,8 @@ from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.schemas.base import EARLIEST_NS, LATEST_NS
 
 _NS_PER_MS = 1_000_000  # unit
-_MS_PER_WEEK = 604_800_000  # range of iTOW
+MS_PER_WEEK = 604_800_000
+"""Range of `iTOW`."""
 _ROLLOVER_NS = 1024 * NS_PER_WEEK
 
 
@@ -35,8 +36,8 @@ def navigation_time_ns(of_week_ms: int, near_ns: int, nanosecond: int | None = N
     `iTOW` is rounded to ms. `nanosecond`, the fraction of NAV-PVT's UTC second, refines it: GPS time and UTC differ by
     whole seconds.
     """
-    if of_week_ms >= _MS_PER_WEEK:
-        raise ValueError(f"iTOW {of_week_ms} ms, expected less than {_MS_PER_WEEK}")
+    if of_week_ms >= MS_PER_WEEK:
+        raise ValueError(f"iTOW {of_week_ms} ms, expected less than {MS_PER_WEEK}")
     time_ns = checked_time_ns(gps_ns_near("G", of_week_ms * _NS_PER_MS, near_ns))
     if nanosecond is None:
         return time_ns

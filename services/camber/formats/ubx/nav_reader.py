@@ -1,4 +1,4 @@
-"""NAV messages: the receiver's position, velocity, time, baseline, covariances and protection levels, by epoch.
+"""NAV messages: the receiver's position, velocity, time, baseline, covariances, protection levels and satellites.
 
 Source: u-blox ZED-F9P, interface description (UBX-18010854): 3.15.5 (NAV-COV), 3.15.7 (NAV-HPPOSLLH), 3.15.13
 (NAV-PVT), 3.15.14 (NAV-RELPOSNED); ZED-F9R (UBX-20039643), NAV-PL.
@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import Fields, ReceiverSolution, SolutionQuality
 from camber.formats.ubx.gps_week import navigation_time_ns, resolve_week_rollover
+from camber.formats.ubx.satellite_reader import NavSatellites, read_satellites
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 
-PVT, HPPOSLLH, COV, RELPOSNED, PL, EOE = 0x07, 0x14, 0x36, 0x3C, 0x62, 0x61
+PVT, HPPOSLLH, SAT, COV, RELPOSNED, PL, EOE = 0x07, 0x14, 0x35, 0x36, 0x3C, 0x62, 0x61
 """Ids of the supported messages of class NAV."""
 
 
@@ -225,6 +227,7 @@ class NavigationEpoch:
         """What NAV-PVT (`fix`) and NAV-PL (`protection`) say."""
         self.baseline: ReceiverBaseline | None = None
         """Its time is not set yet."""
+        self.satellites: NavSatellites | None = None
         self._pvt: PositionVelocityTime | None = None
         self._high_precision: Fields = {}
         self._covariances: Fields = {}
@@ -240,6 +243,8 @@ class NavigationEpoch:
             self._covariances = read_covariances(payload)
         elif message_id == PL:
             self.integrity["protection"] = read_protection_levels(payload)
+        elif message_id == SAT:
+            self.satellites = read_satellites(payload)
         else:
             self.baseline = read_baseline(payload)
 
@@ -259,6 +264,13 @@ class NavigationEpoch:
     def lacks_position(self) -> bool:
         """Whether the receiver has no valid position, or reports one without NAV-PVT, which contains its quality."""
         return bool(self._high_precision) if self._pvt is None else not self._pvt.solution
+
+    def satellite_report(self, time_ns: int) -> SatelliteReport | None:
+        """Return the satellites of NAV-SAT; None without NAV-PVT, which contains whether there is a position."""
+        if self._pvt is None or self.satellites is None:
+            return None
+        quality = self._pvt.solution.get("quality")
+        return SatelliteReport(time_ns=time_ns, quality=quality, satellites=self.satellites.satellites)
 
     def solution(self, time_ns: int) -> ReceiverSolution | None:
         """Return the position of NAV-PVT, with what NAV-HPPOSLLH and then NAV-COV know better."""

@@ -14,9 +14,11 @@ from camber.formats.observations import Ephemeris
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import JAMMING, IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.ubx import nav_reader as nav
 from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler, SubframeWords
+from camber.formats.ubx.gps_week import MS_PER_WEEK
 from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
@@ -27,19 +29,20 @@ UbxResult = (
     | ReceiverSolution
     | nav.ReceiverBaseline
     | ReceiverIntegrity
+    | SatelliteReport
 )
 _NAV, _RXM, _MON, _SEC = 0x01, 0x02, 0x0A, 0x27
 _SPOOFING = ("unknown", "none", "indicated", "affirmed")
-_NAVIGATION_IDS = {nav.PVT, nav.HPPOSLLH, nav.COV, nav.RELPOSNED, nav.PL, nav.EOE}
+_NAVIGATION_IDS = {nav.PVT, nav.HPPOSLLH, nav.SAT, nav.COV, nav.RELPOSNED, nav.PL, nav.EOE}
 
 
 class UbxMessages:
     """Decodes whole messages; `UbxDecoder` decodes a stream.
 
     `near_ns` (GPS time) resolves the 1024-week roll-over, and the week of messages before the first RXM-RAWX or dated
-    NAV-PVT: without it such messages are not decoded. The NAV messages of one `iTOW` become one position, one baseline
-    and one integrity report with NAV-EOE, which should be enabled; without it when the next epoch begins, one epoch
-    late. SEC-SIG and MON-RF after NAV-EOE become a separate report.
+    NAV-PVT: without it such messages are not decoded. The NAV messages of one `iTOW` become one position, one baseline,
+    one report of integrity and one of satellites with NAV-EOE, which should be enabled; without it when the next epoch
+    begins, one epoch late. SEC-SIG and MON-RF after NAV-EOE become a separate report.
     """
 
     def __init__(self, near_ns: int | None = None, report: IntegrityReport | None = None) -> None:
@@ -56,17 +59,19 @@ class UbxMessages:
         self.other_systems = 0
         """Measurements of GLONASS, SBAS, NavIC."""
         self.unknown_signals = 0
-        """Measurements of satellites or signals without a number in the interface description."""
+        """Measurements and satellites of NAV-SAT without a number in the interface description."""
         self.repeated_signals = 0
-        """Measurements of a signal that is already in the epoch."""
+        """Measurements of a signal that is already in the epoch; satellites that are already in NAV-SAT."""
         self.bad_subframes = 0
         """Subframes with a wrong parity or CRC, or with inconsistent content."""
         self.epochs_without_position = 0
         """Epochs for which the receiver reports no position, none in three dimensions, or none within its masks."""
         self.late = 0
-        """NAV messages of an epoch after its end."""
+        """NAV messages of an epoch after its end, and NAV-SAT of earlier ones."""
         self.has_positions = False
         """Whether the receiver sends NAV-PVT."""
+        self.has_satellites = False
+        """Whether it sends NAV-SAT, too."""
         self._report = IntegrityReport() if report is None else report
         self._locks = LossOfLockDetector()
         self._subframes = EphemerisAssembler()
@@ -139,6 +144,10 @@ class UbxMessages:
         if message_id == nav.EOE:
             return self._end_epoch()
         results = list[UbxResult]()
+        if message_id == nav.SAT and self._is_earlier(of_week_ms):
+            # Receivers that navigate at high rates send it after the positions of later epochs.
+            self.late += 1
+            return []
         if self._epoch is None or self._epoch.of_week_ms != of_week_ms:
             if self._epoch is None and of_week_ms == self._ended_ms:
                 self.late += 1
@@ -151,6 +160,11 @@ class UbxMessages:
         except ValueError:
             self.malformed += 1
         return results
+
+    def _is_earlier(self, of_week_ms: int) -> bool:
+        """Whether a time is before the epoch's, or before the last one's where none has begun."""
+        newest_ms = self._ended_ms if self._epoch is None else self._epoch.of_week_ms
+        return newest_ms is not None and 0 < (newest_ms - of_week_ms) % MS_PER_WEEK < MS_PER_WEEK // 2
 
     def _end_epoch(self) -> list[UbxResult]:
         epoch, self._epoch = self._epoch, None
@@ -173,6 +187,13 @@ class UbxMessages:
         results: list[UbxResult] = [] if solution is None else [solution]
         if baseline is not None:
             results.append(replace(baseline, time_ns=time_ns))
+        if epoch.satellites is not None:
+            self.unknown_signals += epoch.satellites.unknown
+            self.repeated_signals += epoch.satellites.repeated
+            report = epoch.satellite_report(time_ns)
+            if report is not None:
+                self.has_satellites = True
+                results.append(report)
         if self._report_changed or epoch.integrity:
             results += self._integrity_report(time_ns)
         return results

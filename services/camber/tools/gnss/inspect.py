@@ -211,6 +211,9 @@ def _counters(decoder: object) -> Iterator[tuple[str, int]]:
         yield "nmea.positions_beside_ubx", decoder.positions_not_used
         yield "nmea.epochs_without_position", decoder.nmea.epochs_without_position
         yield "nmea.late_sentences", decoder.nmea.late_sentences
+        yield "nmea.satellites_beside_ubx", decoder.satellites_not_used
+        yield "nmea.unknown_satellites", decoder.nmea.satellites.unknown_satellites
+        yield "nmea.incomplete", decoder.nmea.incomplete
         yield from ((f"ubx.{name}", getattr(decoder.ubx, name)) for name in _COUNTERS_OF_UBX)
         if decoder.rtcm is not None:
             yield from ((f"rtcm.{name}", getattr(decoder.rtcm, name)) for name in _COUNTERS_OF_RTCM)

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import io
 import random
+import struct
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
 from camber.formats.errors import FormatError
 from camber.formats.nmea.writer import format_gga, format_rmc
+from camber.formats.observations import satellite_name
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.frame_search import MAX_UBX_PAYLOAD_BYTES
 from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
@@ -135,6 +139,31 @@ def test_position_of_ubx_and_nmea_is_returned_once():
     times = [result.time_ns for result in decoded if isinstance(result, ReceiverSolution)]
     assert times == [START_NS + second * SECOND_NS for second in range(4)]
     assert decoder.positions_not_used == 4
+
+
+@pytest.mark.parametrize("with_nav_sat", [True, False])
+def test_satellites_of_ubx_and_nmea_are_returned_once(with_nav_sat):
+    decoder = MixedDecoder("port")
+    block = bytes([0, 5, 40, 30, 120, 0, 0, 0, 0b1111, 1, 0, 0])
+    decoded = []
+    for second in range(4):
+        position = solution(START_NS + second * SECOND_NS)
+        of_week = struct.pack("<I", position.time_ns % WEEK_NS // 1_000_000)
+        nav_sat = ubx_frame(0x01, 0x35, of_week + bytes([1, 1, 0, 0]) + block)
+        decoded += decoder.feed(
+            format_position_velocity_time(position, geoid_separation_m=30.0)
+            + nav_sat * with_nav_sat
+            + ubx_frame(0x01, 0x61, of_week)
+            + format_rmc(position)
+            + format_gga(position, geoid_separation_m=30.0)
+            + sentence("GPGSV,1,1,01,06,45,120,40,1")
+        )
+    decoded += decoder.finish()
+    reports = [result for result in decoded if isinstance(result, SatelliteReport)]
+    assert [report.time_ns for report in reports] == [START_NS + second * SECOND_NS for second in range(4)]
+    name = "G05" if with_nav_sat else "G06"
+    assert {satellite_name(row.satellite) for report in reports for row in report.satellites} == {name}
+    assert decoder.satellites_not_used == 4 * with_nav_sat
 
 
 def test_date_of_rawx_is_used_for_nmea():
