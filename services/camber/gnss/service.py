@@ -11,15 +11,16 @@ from pydantic import ValidationError
 
 from camber.formats.errors import FormatError
 from camber.formats.nmea.writer import format_gga
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.candidates.engine_candidates import (
     fix_from_solution,
     observations_from,
-    satellites_from,
     velocity_from,
 )
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
+from camber.gnss.candidates.satellites_in_view import satellites_from, satellites_from_report
 from camber.gnss.candidates.subset_agreement import subset_agreement
 from camber.gnss.observations.base_coordinate_history import BaseMemory, memory_as_text, memory_from_text
 from camber.gnss.observations.base_move_detection import BaseWatch
@@ -40,6 +41,9 @@ from camber.transport.ntrip_client import NtripAccess
 M = TypeVar("M", bound=Message)
 _SILENT_NS = 5_000_000_000  # chosen: health is degraded after so long without an epoch
 _END_OF_FILE_NS = 1_000_000_000  # chosen: a file is complete when nothing came for so long
+_EPOCH_JITTER_NS = (
+    10_000_000  # chosen: a receiver's clock is within milliseconds of its epochs' nominal times
+)
 _CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND  # less than the half week that resolves the week number
 _WEEKLESS = ("ubx", "rtcm", "mixed")
 
@@ -260,6 +264,8 @@ class GnssService(Service[GnssSettings]):
                 case ReceiverSolution():
                     if not (self._solves or self._is_refused(item.time_ns)):
                         self._publish_fix(partial(fix_from, item, self.settings.datum))
+                case SatelliteReport():
+                    self._publish_reported_satellites(item)
                 case _ if self._rover is not None:
                     self._rover.receive(stream, item)
 
@@ -283,12 +289,24 @@ class GnssService(Service[GnssSettings]):
     def _publish_satellites(self, solved: SolvedEpoch) -> None:
         """Publish the satellites in view, now and then: a message costs a quarter of an epoch's time."""
         solution = solved.solution
-        if 0 <= solution.time_ns - self._satellites_ns < self.settings.satellites_every_s * NS_PER_SECOND:
+        if self._rests(solution.time_ns):
             return
         columns = satellite_columns(solved.epoch, solution, self._masks)
         if columns is not None:
             self._satellites_ns = solution.time_ns
-            self._publish("satellites", lambda: satellites_from(solution, columns))
+            self._publish("satellites", lambda: satellites_from(solution.time_ns, solution.quality, columns))
+
+    def _publish_reported_satellites(self, report: SatelliteReport) -> None:
+        """Publish the receiver's satellites where its positions are published, as often as those of the engine."""
+        refusal = refuse(report.time_ns, self._satellites_ns, self.bus.now_ns())
+        if not (self._solves or refusal is not None or self._rests(report.time_ns)):
+            self._satellites_ns = report.time_ns
+            self._publish("satellites", lambda: satellites_from_report(report))
+
+    def _rests(self, time_ns: int) -> bool:
+        """Whether satellites were published less than the set time before."""
+        every_ns = self.settings.satellites_every_s * NS_PER_SECOND - _EPOCH_JITTER_NS
+        return 0 <= time_ns - self._satellites_ns < every_ns
 
     def _is_refused(self, time_ns: int) -> bool:
         refusal = refuse(time_ns, self._last_ns, self.bus.now_ns())

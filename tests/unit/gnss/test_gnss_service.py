@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import pty
@@ -23,10 +24,12 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
+from camber.live.snapshots import satellites_as_json
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
-from camber.schemas.gnss import Estimates, EstimatesRequest, ReceiverBytes
+from camber.schemas.gnss import SATELLITE_USES, Estimates, EstimatesRequest, ReceiverBytes, SatellitesInView
 from support.gnss_bus import GnssBus
+from support.gnss_files import nmea_sentence, recording
 
 NS = 1_000_000_000
 START_NS = gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 30))
@@ -280,3 +283,105 @@ def test_a_source_that_is_none_is_refused_before_anything_starts() -> None:
         ConfigError, match=r"^source: 'tcp:host': expected file:PATH, tcp:HOST:PORT or serial:"
     ):
         load(GnssSettings, ["--source", "tcp:host"], prog="camber gnss")
+
+
+# ---------------------------------------------------------------------------------------------------- the satellites
+
+GSA = b"GNGSA,A,3,05,,,,,,,,,,,,1.7,0.9,1.5,1"
+GSV = b"GPGSV,1,1,02,05,45,120,40,06,,,22,1"
+
+
+def views_of(bus: GnssBus) -> list[SatellitesInView]:
+    return [message for message in bus.published if isinstance(message, SatellitesInView)]
+
+
+def shown(view: SatellitesInView) -> list[list[Any]]:
+    """As the sky plot receives them."""
+    rows: list[list[Any]] = json.loads(satellites_as_json(view, 0.0))["satellites"]
+    return rows
+
+
+def nmea_with_satellites(*tenths: int, **changed: Any) -> bytes:
+    view = b"".join(nmea_sentence(content.decode()) for content in (GSA, GSV))
+    return b"".join(nmea(n, **changed) + view for n in tenths)
+
+
+@pytest.mark.parametrize("protocol", ["nmea", "mixed"])
+def test_satellites_of_an_nmea_receiver_are_published_once_a_second(protocol: str) -> None:
+    service, bus = make()
+    receive(service, nmea_with_satellites(*range(0, 31, 2)), protocol)
+    assert tenths_of(bus) == list(range(0, 31, 2))
+    views = views_of(bus)
+    assert [(view.time_ns - START_NS) // NS for view in views] == [0, 1, 2]
+    assert {view.quality for view in views} == {"fixed"}
+    assert shown(views[0]) == [
+        ["G05", 120.0, 45.0, 40.0, "used"],
+        ["G06", None, None, 22.0, "reason_not_reported"],
+    ]
+    assert bus.issues == []
+
+
+def test_each_epoch_has_its_satellites_where_that_is_set() -> None:
+    service, bus = make(satellites_every_s=0.0)
+    # Each epoch twice: repeated satellites are not published again. Those of the last wait for the next epoch.
+    receive(service, b"".join(2 * nmea_with_satellites(n) for n in range(5)), "nmea")
+    assert [(view.time_ns - START_NS) * 10 // NS for view in views_of(bus)] == [0, 1, 2, 3]
+
+
+def test_satellites_from_the_future_are_not_published() -> None:
+    service, bus = make()
+    receive(service, nmea_with_satellites(40_000, 40_010, 40_020), "nmea")
+    assert views_of(bus) == []
+    assert set(bus.counted()) == {"epoch_from_the_future"}
+
+
+def test_a_missing_sentence_of_gsv_is_reported_as_damage() -> None:
+    service, bus = make()
+    first = nmea_sentence("GPGSV,2,1,05,05,45,120,40,06,20,010,22,1")
+    receive(service, b"".join(nmea(n) + first for n in (0, 10, 20)), "mixed")
+    assert bus.counters["rover.incomplete"] == 2
+    assert [len(view.satellite) for view in views_of(bus)] == [2, 2]
+
+
+def test_without_a_position_no_satellite_is_used() -> None:
+    service, bus = make(nmea_date=date(2023, 7, 11))
+    empty = b"".join(nmea_sentence(f"GNGGA,0604{second}.00,,,,,0,00,99.99,,,,,,") for second in (30, 31))
+    view = b"".join(nmea_sentence(content.decode()) for content in (GSA, GSV))
+    receive(service, empty[: len(empty) // 2] + view + empty[len(empty) // 2 :], "nmea")
+    (message,) = views_of(bus)
+    assert message.quality == "none"
+    assert [row[4] for row in shown(message)] == ["no_position", "no_position"]
+
+
+def test_a_receiver_that_lists_no_satellite_has_none() -> None:
+    service, bus = make()
+    receive(service, nmea(0) + nmea_sentence("GPGSV,1,1,00,1") + nmea(1), "nmea")
+    (view,) = views_of(bus)
+    assert shown(view) == []
+
+
+@pytest.mark.parametrize("protocol", ["ubx", "mixed"])
+def test_satellites_of_a_recorded_ubx_receiver_are_published(protocol: str) -> None:
+    data = recording("receiver-logs/ubx-pygpsdata-MIXED.log").read_bytes()
+    service, bus = make(source="bus")
+    bus.time_ns = gps_ns_from_utc(CalendarTime(2020, 10, 23, 11, 40, 0))
+    receive(service, data, protocol)
+    views = views_of(bus)
+    # One a second, although the times of its epochs differ from whole seconds; eleven of the 39 epochs have none.
+    assert len(views) == 28
+    assert {view.quality for view in views} == {"single"}
+    fixes = {fix.time_ns: fix for fix in bus.fixes}
+    used = SATELLITE_USES.index("used")
+    assert all((view.use == used).sum() == fixes[view.time_ns].satellites for view in views)
+    rows = {row[0]: row for row in shown(views[0])}
+    assert rows["G03"] == ["G03", 89.0, 41.0, 24.0, "used"]
+    assert rows["S20"] == ["S20", 196.0, 28.0, None, "no_pseudorange"]
+
+
+def test_an_engine_leaves_out_the_satellites_of_the_receiver() -> None:
+    data = recording("receiver-logs/ubx-pygpsdata-MIXED.log").read_bytes()
+    service, bus = make(positions="engine")
+    bus.time_ns = gps_ns_from_utc(CalendarTime(2020, 10, 23, 11, 40, 0))
+    receive(service, data, "mixed")
+    service.advance(bus.time_ns)
+    assert views_of(bus) == []

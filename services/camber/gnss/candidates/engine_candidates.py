@@ -15,7 +15,6 @@ from camber.gnss.candidates.satellite_subsets import SubsetCandidate, subset_can
 from camber.gnss.observations.satellite_states import enu_from_ecef_rotation, geodetic
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Solution
-from camber.gnss.position.satellite_use import SatelliteColumns
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity
 from camber.gnss.velocity.heading_filter import HeadingEstimate
 from camber.schemas.gnss import (
@@ -24,7 +23,6 @@ from camber.schemas.gnss import (
     EstimatesRequest,
     Fix,
     Observations,
-    SatellitesInView,
     SatelliteVelocity,
     SubsetAgreement,
 )
@@ -88,23 +86,6 @@ def velocity_from(velocity: DopplerVelocity, heading: HeadingEstimate | None) ->
         satellites=int(velocity.used.sum()),
         heading_rad=None if heading is None else heading.heading_rad,
         heading_sigma_rad=None if heading is None else heading.heading_sigma_rad,
-    )
-
-
-def satellites_from(solution: Solution, columns: SatelliteColumns) -> SatellitesInView:
-    """The satellites of an epoch and their use."""
-    has_direction, has_cn0 = ~np.isnan(columns.elevation_rad), ~np.isnan(columns.cn0_dbhz)
-    values = (np.nan_to_num(value).astype(np.float32) for value in columns[1:4])
-    azimuth_rad, elevation_rad, cn0_dbhz = values
-    return SatellitesInView(
-        time_ns=solution.time_ns,
-        quality=solution.quality,
-        satellite=columns.satellite.astype(np.int32),
-        present=has_direction.astype(np.uint8) | has_cn0.astype(np.uint8) << np.uint8(1),
-        azimuth_rad=azimuth_rad,
-        elevation_rad=elevation_rad,
-        cn0_dbhz=cn0_dbhz,
-        use=columns.use.astype(np.uint8),
     )
 
 

@@ -8,7 +8,7 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.gnss.observations.base_station import station_name
 from camber.schemas.gnss import Fix, Quality
 
-_QUALITY: dict[SolutionQuality, Quality] = {
+QUALITY: dict[SolutionQuality, Quality] = {
     SolutionQuality.FIX: "fixed",
     SolutionQuality.FLOAT: "float",
     SolutionQuality.SBAS: "sbas",
@@ -42,7 +42,7 @@ def fix_from(solution: ReceiverSolution, datum: str) -> Fix:
         time_ns=solution.time_ns,
         fix_id=fix_id_of(solution.time_ns),
         origin="receiver",
-        quality=_QUALITY[solution.quality],
+        quality=QUALITY[solution.quality],
         latitude_rad=solution.latitude_rad,
         longitude_rad=solution.longitude_rad,
         height_m=solution.height_m,

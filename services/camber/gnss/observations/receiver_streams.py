@@ -15,6 +15,7 @@ from camber.formats.nmea.epochs import NmeaDecoder
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.navigation_reader import NavigationDecoder, NavigationResult
 from camber.formats.rinex.observation_reader import RinexDecoder
@@ -48,6 +49,7 @@ DecodedItem = (
     | StationPosition
     | ReceiverSolution
     | ReceiverIntegrity
+    | SatelliteReport
     | FormatError
 )
 """Content of any stream; the rest (baselines, for example) is dropped."""
@@ -139,7 +141,7 @@ class StreamReader:
     def damage(self) -> dict[str, int]:
         """Counts of unusable parts of the stream so far, by the decoders' names of the fault, without zeros."""
         decoder = self._decoder
-        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "rtcm")]
+        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "nmea", "rtcm")]
         counts = {name: getattr(decoder, name, 0) for name in _FRAMING}
         counts |= {name: sum(getattr(part, name, 0) for part in (decoder, *inside)) for name in _CONTENT}
         return {name: count for name, count in counts.items() if count}
