@@ -185,7 +185,7 @@ def _with_pose(
     """A pose that was pulled along, with its own errors; the height is that of the road."""
     (ee, en, nn), (p_ee, p_en, p_nn) = pulled.horizontal_m2, pose.horizontal_m2
     together = ee + p_ee, en + p_en, nn + p_nn
-    wider = MixtureComponent(pulled.weight, together, pose.up_m2, pulled.mean_m, pulled.is_latent)
+    wider = MixtureComponent(pulled.weight, together, pose.up_m2, *pulled[3:])
     return road_components(wider, pulled.weight, rules)
 
 
