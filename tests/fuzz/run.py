@@ -1,7 +1,7 @@
 """Attack all decoders, or some, for a time: `PYTHONPATH=tests python -m fuzz.run --minutes 10` (`make fuzz`).
 
-Each in a process of its own, as many at once as there are processors. The time is that of the processors, so that a busy
-machine tries as many inputs as an idle one. What breaks a decoder is written to a file beside the seed that made it.
+Each in a process of its own, as many at once as there are processors. The time is that of the processors, so that a
+busy machine tries as many inputs as an idle one. What breaks a decoder is written to a file beside the seed that made it.
 """
 
 from __future__ import annotations
