@@ -15,7 +15,7 @@ SHIPPED := engine,localizer,map,fleet,plots,web,foxglove,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test test-processes test-modules check lint bench fuzz mutation promises faults soak hostile golden docs docs-site image sbom licences vulnerabilities clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation promises faults soak hostile golden docs docs-site image sbom licences vulnerabilities clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -24,7 +24,7 @@ help:
 	@echo "make check   lint, types, import rules, generated pages, tests: what CI runs"
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
 	@echo "make evidence  drives through all services, and docs/evidence.md; the recording needs CAMBER_DATA; an hour"
-	@echo "make fuzz    damaged input for every decoder, ten minutes of two processors; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
+	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
 	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; an hour and a half, MODULE=learning some minutes"
 	@echo "make promises  each safety promise broken in a copy of the sources, which its test must notice; ten minutes"
 	@echo "make faults  outages as long as they are promised for, links cut for ten minutes among them; half an hour, as root"
@@ -80,24 +80,17 @@ compile-simulator: setup
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 		$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out "$$folder/city" --quiet
 
-# Tests of processes wait most of the time: five at once take a quarter of what others, two at once, need of the
-# processors. Both run beside each other, the others with less priority. What compares with the clock (the marker `timed`)
-# comes last, three files at once: each uses a quarter of a processor. The judge's pure modules must be covered whole by
-# their own tests; those of many drives (the marker `slow`) run without counting lines, twice as fast.
+# Tests of processes wait most of the time, so five run at once; others two at once. What compares with the clock (the
+# marker `timed`) comes last, three files at once: each uses a quarter of a processor. The judge's pure modules must be
+# covered whole by their own tests; those of many drives (the marker `slow`) run without counting lines, twice as fast.
 define TESTS
-@echo "tests of processes and all others run at once, ten minutes; each kind is printed when it is done"
-$(MAKE) --jobs 2 --output-sync=target test-processes test-modules
+$(BIN)/python -m pytest -n 5 --dist loadfile -m 'not timed' tests/integration tests/container tests/web
+$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' --ignore tests/unit/integrity \
+	tests/replay tests/architecture tests/contract tests/fuzz tests/unit
+$(BIN)/python -m pytest -n 2 --dist load -m 'not slow' tests/unit/integrity --cov
+$(BIN)/python -m pytest -n 2 --dist load -m slow tests/unit/integrity
 $(BIN)/python -m pytest -n 3 --dist loadfile -m timed tests/integration tests/container
 endef
-
-test-processes: setup
-	$(BIN)/python -m pytest -n 5 --dist loadfile -m 'not timed' tests/integration tests/container tests/web
-
-test-modules: setup
-	nice -n 10 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' \
-		--ignore tests/unit/integrity tests/replay tests/architecture tests/contract tests/fuzz tests/unit
-	nice -n 10 $(BIN)/python -m pytest -n 2 --dist load -m 'not slow' tests/unit/integrity --cov
-	nice -n 10 $(BIN)/python -m pytest -n 2 --dist load -m slow tests/unit/integrity
 
 test: compile
 	$(TESTS)

@@ -55,15 +55,15 @@ class Broken(AssertionError):  # noqa: N818 (a finding)
 
 
 def attack(target: Target, seconds: float, seed: int) -> int:
-    """Feed damaged input for a time of the processor; return the number of inputs. Raises Broken."""
+    """Feed damaged input for a time; return the number of inputs. Raises Broken."""
     random = Random(seed)
     corpus = target.corpus(random)
     for contents in corpus:
         _must_read(target, b"".join(map(target.sealed, contents)))
     lasting = target.stream() if target.stream is not None else None
-    began = time.process_time()
+    began = time.monotonic()
     count, warm_bytes = 0, None
-    while (passed_s := time.process_time() - began) < seconds:
+    while (passed_s := time.monotonic() - began) < seconds:
         data = _made(random, target, corpus)
         _hold(random, target, data)
         if lasting is not None:
