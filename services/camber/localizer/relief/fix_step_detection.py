@@ -4,6 +4,10 @@ A receiver that takes other integers, or another base, has another error from on
 changed by decimetres so, taken for the road's, would move a position found by relief by metres: 0.08 m on a slope of
 4 % is 2 m. So heights before and after a step have no offset in common. East and north of fixes only say that there
 was a step: they move nothing, and a step too many costs information alone.
+
+Other integers move one fix, those before and after it move as the vehicle does. Fixes that are led away part from the
+vehicle instead: in a turn those beside the road by their distance times the angle, those along it turn before the
+vehicle. That has a velocity, which changes as a vehicle's does: a step is what a fix has moved by beyond it.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ _DIRECTION_SIGMA_RAD: Final = 0.02  # derived: 2 cm of a fix over 2 m, by half o
 _TURN_SHARE: Final = 0.25  # chosen: a yaw rate that is late by a quarter of the time between two fixes
 _DIRECTION_WEIGHT: Final = 0.3  # chosen: the mean of some six displacements
 _LEAST_DIRECTION_M: Final = 2.0  # chosen: the direction of a shorter displacement is known to 1° at most
+_LONGEST_GAP_S: Final = 1.0  # as a run of fixes (`integrity.checks.carried_position`): turns go on for longer
 _LOST_AFTER: Final = 3  # steps in a row; chosen: then it is the track that has turned otherwise
 _LEAST_ROAD_SLOPE: Final = (
     0.12  # derived: the steepest road (RAS-L 1995) while the road below is that of another pose
@@ -45,6 +50,13 @@ class _PlacedFix(NamedTuple):
     fix: Fix
     track: TrackPoint
     road_m: float | None
+
+
+class _Parting(NamedTuple):
+    """Velocity of the fixes beyond the vehicle's, east and north (m/s), and its variance by the fixes (m²/s²)."""
+
+    east_north_m_s: tuple[float, float] = (0.0, 0.0)
+    variance: float = 0.0
 
 
 class _Displacements(NamedTuple):
@@ -70,6 +82,7 @@ class FixStepDetection:
         self._lever_m = lever_m
         self._last: _PlacedFix | None = None
         self._direction_rad: float | None = None
+        self._parting = _Parting()
         self._steps = 0
 
     def step(self, fix: Fix, track: TrackPoint | None, road: Road) -> FixStep | None:
@@ -79,6 +92,7 @@ class FixStepDetection:
         """
         if track is None:
             self._last = self._direction_rad = None
+            self._parting = _Parting()
             return None
         road_m = road.elevation_m if road.status == "known" else None
         last, self._last = self._last, _PlacedFix(fix, track, road_m)
@@ -88,15 +102,30 @@ class FixStepDetection:
             return FixStep(None)
         displacements = self._displacements(last, self._last)
         beyond = self._beyond(last, self._last, displacements)
-        if not _is_vertical_step(last, self._last) and not _is_beyond_errors(beyond):
+        if not _is_vertical_step(last, self._last) and not self._is_step(last.fix, fix, beyond):
             self._steps = 0
+            self._parting = _parting(last.fix, fix, beyond)
             self._follow(displacements)
             return None
         step = FixStep(None) if self._direction_rad is None else beyond
         self._steps += 1
         if self._steps >= _LOST_AFTER:
             self._direction_rad, self._steps = None, 0
+            self._parting = _Parting()
         return step
+
+    def _is_step(self, last: Fix, this: Fix, beyond: FixStep) -> bool:
+        """Whether the fixes have moved neither as the vehicle nor as they were parting from it."""
+        if not _is_beyond_errors(beyond):
+            return False
+        since_s, (velocity_m_s, variance) = _since_s(last, this), self._parting
+        if not 0.0 < since_s <= _LONGEST_GAP_S:
+            return True
+        (east_m, north_m), (east_m_s, north_m_s) = beyond.east_north_m or (0.0, 0.0), velocity_m_s
+        # The fix between both displacements has twice its error in their difference.
+        variance_m2 = beyond.variance_m2 + since_s**2 * variance + 2.0 * _horizontal_m2(last)
+        left_m = east_m - since_s * east_m_s, north_m - since_s * north_m_s
+        return _is_beyond_errors(FixStep(left_m, variance_m2))
 
     def _beyond(self, last: _PlacedFix, this: _PlacedFix, displacements: _Displacements) -> FixStep:
         (shown_east_m, shown_north_m), moved_m = displacements
@@ -132,6 +161,18 @@ class FixStepDetection:
 def _is_beyond_errors(step: FixStep) -> bool:
     off_m = math.hypot(*(step.east_north_m or (0.0, 0.0)))
     return off_m > max(_LEAST_STEP_M, _SIGMAS * math.sqrt(step.variance_m2))
+
+
+def _parting(last: Fix, this: Fix, beyond: FixStep) -> _Parting:
+    since_s, (east_m, north_m) = _since_s(last, this), beyond.east_north_m or (0.0, 0.0)
+    if since_s <= 0.0:
+        return _Parting()
+    variance_m2 = _horizontal_m2(last) + _horizontal_m2(this)
+    return _Parting((east_m / since_s, north_m / since_s), variance_m2 / since_s**2)
+
+
+def _since_s(last: Fix, this: Fix) -> float:
+    return 1e-9 * (this.time_ns - last.time_ns)
 
 
 def _is_vertical_step(last: _PlacedFix, this: _PlacedFix) -> bool:

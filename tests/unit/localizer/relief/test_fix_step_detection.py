@@ -12,10 +12,11 @@ from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.track import TrackPoint
 from camber.localizer.relief.fix_step_detection import FixStep, FixStepDetection
 from camber.schemas.gnss import Fix
-from support.judging import FRAME, fix, road
+from support.judging import FRAME, at, fix, road
 
 LEVER_M = (1.2, -0.3)
 EVERY_S, SPEED_M_S, RATE_RAD_S, SLOPE = 0.2, 12.0, 0.4, 0.1
+STEERED_S = 1.0  # until the curve's radius is reached
 TURNED_RAD = 1.0  # of the track's frame
 SIGMA_M = 0.02
 Offset = Callable[[float], tuple[float, float, float]]
@@ -33,16 +34,9 @@ def timed_steps(
     rng = np.random.default_rng(3)
     for k in range(100):
         at_s = EVERY_S * k
-        yaw_rad = RATE_RAD_S * at_s
-        radius_m = SPEED_M_S / RATE_RAD_S
-        track = TrackPoint(
-            east_m=radius_m * math.sin(yaw_rad),
-            north_m=radius_m * (1.0 - math.cos(yaw_rad)),
-            yaw_rad=yaw_rad,
-            path_m=SPEED_M_S * at_s,
-        )
+        track = _track(at_s)
         vehicle = rotated(TURNED_RAD, track.east_m, track.north_m)
-        lever = rotated(TURNED_RAD + yaw_rad, *LEVER_M)
+        lever = rotated(TURNED_RAD + track.yaw_rad, *LEVER_M)
         noise = rng.normal(0.0, SIGMA_M, 3)
         off = offset_m(at_s)
         road_m = SLOPE * vehicle[0]
@@ -51,6 +45,7 @@ def timed_steps(
             vehicle[1] + lever[1] + off[1] + noise[1],
             road_m + 1.8 + off[2] + noise[2],
             base(at_s),
+            time_ns=at(at_s / EVERY_S),
         )
         step = detection.step(one, track, road(elevation_m=road_m))
         if step is not None:
@@ -58,10 +53,27 @@ def timed_steps(
     return steps
 
 
-def _fix(east_m: float, north_m: float, up_m: float, base: str) -> Fix:
+def _yaw_rad(at_s: float) -> float:
+    steered_s = min(at_s, STEERED_S)
+    return RATE_RAD_S * (0.5 * steered_s**2 / STEERED_S + at_s - steered_s)
+
+
+def _track(at_s: float) -> TrackPoint:
+    since_s = np.linspace(0.0, at_s, 200)
+    yaw_rad = [_yaw_rad(each) for each in since_s]
+    return TrackPoint(
+        east_m=float(np.trapezoid(SPEED_M_S * np.cos(yaw_rad), since_s)),
+        north_m=float(np.trapezoid(SPEED_M_S * np.sin(yaw_rad), since_s)),
+        yaw_rad=yaw_rad[-1],
+        path_m=SPEED_M_S * at_s,
+    )
+
+
+def _fix(east_m: float, north_m: float, up_m: float, base: str, *, time_ns: int) -> Fix:
     latitude_rad, longitude_rad, _ = FRAME.geodetic_from_east_north(east_m, north_m, up_m)
     variance_m2 = SIGMA_M**2
     return fix(
+        time_ns=time_ns,
         latitude_rad=latitude_rad,
         longitude_rad=longitude_rad,
         height_m=up_m,
@@ -76,6 +88,33 @@ def test_a_curve_uphill_is_no_step() -> None:
 
 def test_fixes_that_are_led_away_slowly_are_no_step() -> None:
     assert steps_of(lambda at_s: (0.3 * at_s, 0.0, 0.0)) == []
+
+
+def _beside(at_s: float, distance_m: float) -> tuple[float, float, float]:
+    """To the left of the vehicle of `timed_steps`, that far."""
+    return *rotated(TURNED_RAD + _yaw_rad(at_s), 0.0, distance_m), 0.0
+
+
+def test_fixes_led_away_beside_the_road_turn_with_it_and_make_no_step() -> None:
+    between_m = 0.05 * 120.0 * RATE_RAD_S * EVERY_S
+    assert between_m > 0.3
+    assert steps_of(lambda at_s: _beside(at_s, 0.05 * (110.0 + at_s))) == []
+
+
+def test_other_integers_are_a_step_while_fixes_led_away_turn() -> None:
+    def off_m(at_s: float) -> tuple[float, float, float]:
+        east_m, north_m, _ = _beside(at_s, 0.05 * (110.0 + at_s))
+        return east_m + (0.5 if at_s >= 5.0 else 0.0), north_m, 0.0
+
+    assert steps_of(off_m) == [5.0]
+
+
+def test_a_position_that_goes_back_within_seconds_steps_as_long_as_it_moves_by_that_much() -> None:
+    off_m = lambda at_s: 6.0 if at_s < 5.0 else 6.0 * math.exp(-(at_s - 5.0 + EVERY_S))  # noqa: E731
+    moved_m = [off_m(5.0 + EVERY_S * k) - off_m(5.0 + EVERY_S * (k - 1)) for k in range(12)]
+    goes_on = [round(5.0 + EVERY_S * k, 3) for k, each in enumerate(moved_m) if abs(each) > 0.45]
+    assert goes_on[:3] == [5.0, 5.2, 5.4]
+    assert set(goes_on) <= set(steps_of(lambda at_s: (off_m(at_s), 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("off_m", [(1.6, -0.7, 2.0), (-12.0, 9.0, 0.0), (0.0, 0.1, 1.5)], ids=str)
