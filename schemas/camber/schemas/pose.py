@@ -160,6 +160,10 @@ class Pose(Message):
     fixes_offset: FixesOffset | None = Field(
         None, description="offset of the fixes by heights over their own track, where heights determine it"
     )
+    fix_run_begin_time_ns: TimeNs | None = Field(
+        None,
+        description="since when each fix continues the one before, within 1 s: other integers would have been a step",
+    )
 
 
 class ScanMatch(Message):

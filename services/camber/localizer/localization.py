@@ -242,6 +242,7 @@ class Localization:
             independent=self._independent_position(time_ns),
             road=road,
             fixes_offset=None if self._fix_track is None else self._fix_track.offset,
+            fix_run_begin_time_ns=self._fix_steps.run_begin_ns,
         )
 
     def _independent_position(self, time_ns: int) -> IndependentPosition | None:

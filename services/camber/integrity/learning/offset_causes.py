@@ -16,7 +16,8 @@ differs by the same vector, something else is wrong.
 
 A base that is wrong in height alone looks like an antenna, unless its key changed. A wrong fix whose integers hold
 looks like a wrong base: until a vector has lasted longer than wrong integers do, it is reported as *ambiguous*, though
-fixes that are off by it are judged as those of a wrong base from the first.
+fixes that are off by it are judged as those of a wrong base from the first. Other integers are a step of the fixes:
+where they have made none for as long, wrong integers make no vector, however late the independent position shows it.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class Diagnosis:
     """A cause with its onset, its vector as far as it is known, and for a road its surface.
 
     `after_right`: as many stretches before its onset were seen as a cause needs, and did not differ so.
-    `may_be_integers`: it has not lasted longer than wrong integers do, which explain it as well as a wrong base.
+    `may_be_integers`: neither it nor the integers of the fixes have lasted longer than wrong ones do, which explain it
+    as well as a wrong base.
     """
 
     cause: Cause = "none"
@@ -129,7 +131,7 @@ class OffsetCauses:
         if cell is not None:
             self._add(SeenCell(cell=cell, correction_m=correction_m, correction_sigma_m=correction_sigma_m))
         if sampled or cell is not None:
-            self._name(self._current_cause(), residual.time_ns)
+            self._name(self._current_cause(), residual)
 
     def _add(self, seen: SeenCell) -> None:
         cell = seen.cell
@@ -146,12 +148,13 @@ class OffsetCauses:
         self._run, self._whole, self._suspects = [], False, {}
         self.roads = {key: road for key, road in self.roads.items() if road.map_version == version}
 
-    def _name(self, result: Diagnosis, now_ns: int) -> None:
-        before = self.common
+    def _name(self, result: Diagnosis, newest: FixResidual) -> None:
+        before, may_be_integers = self.common, True
         if result.cause == before.cause:
             # It began when it was first seen to begin, and after what, also when that has left the memory.
             result = replace(result, onset_ns=before.onset_ns, after_right=before.after_right)
-        if _may_be_integers(result, now_ns, self.rules):
+            may_be_integers = before.may_be_integers
+        if may_be_integers and _may_be_integers(result, newest, self.rules):
             result = replace(result, may_be_integers=True, text=f"{result.text}, or wrong integers")
         if result.cause != "none" and (result.cause, result.reported) != (before.cause, before.reported):
             self._news.append(result)
@@ -266,11 +269,17 @@ def _cause_of(
     return _with_detail(replace(diagnosis, cause="antenna"), f"alike on {links} links")
 
 
-def _may_be_integers(diagnosis: Diagnosis, now_ns: int, rules: CauseRules) -> bool:
-    """Whether a vector, not the key of another base, names a base, and has not lasted longer than wrong integers do."""
+def _may_be_integers(diagnosis: Diagnosis, newest: FixResidual, rules: CauseRules) -> bool:
+    """Whether a vector, not the key of another base, names a base, and wrong integers may have lasted as long.
+
+    They have lasted since its onset, or since the last step of the fixes where that was before.
+    """
     if diagnosis.cause != "base" or diagnosis.east_north_m is None or diagnosis.onset_ns is None:
         return False
-    return now_ns - diagnosis.onset_ns < rules.wrong_integers_s * 1e9
+    begin_ns = diagnosis.onset_ns
+    if newest.run_begin_ns is not None:
+        begin_ns = min(begin_ns, newest.run_begin_ns)
+    return newest.time_ns - begin_ns < rules.wrong_integers_s * 1e9
 
 
 def _least_s(offset: CellOffset, rules: CauseRules) -> float:

@@ -37,8 +37,9 @@ class FixResidual:
     `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
     time of the newest confirmed fix that the pose leans on, None where it leans on none. `independent` is fix less
     independent position, east and north, its covariance (ee, en, nn), and σ of the fix; `evidence_ns` is the time of
-    its last evidence; `track_offset` is that of the fixes' own track by heights. `link_id` is the road's, from
-    crossing to crossing; a surface is a piece of it.
+    its last evidence; `track_offset` is that of the fixes' own track by heights. Since `run_begin_ns` no fix has
+    stepped as to other integers, None: not known. `link_id` is the road's, from crossing to crossing; a surface is a
+    piece of it.
     """
 
     time_ns: int
@@ -59,6 +60,7 @@ class FixResidual:
     independent: tuple[float, float, float, float, float, float] | None = None
     evidence_ns: int | None = None
     track_offset: JudgedTrackOffset | None = None
+    run_begin_ns: int | None = None
 
     @property
     def confirmed(self) -> bool:

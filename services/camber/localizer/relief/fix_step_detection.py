@@ -84,6 +84,8 @@ class FixStepDetection:
         self._direction_rad: float | None = None
         self._parting = _Parting()
         self._steps = 0
+        self.run_begin_ns: int | None = None
+        """Time of the first of the fixes that continue one another, without a step or a gap; None: not known."""
 
     def step(self, fix: Fix, track: TrackPoint | None, road: Road) -> FixStep | None:
         """Take a fix at a point of the driven track, with the newest road; return its step, None if it is none.
@@ -91,18 +93,24 @@ class FixStepDetection:
         The first fix is none, nor is one that cannot be compared because the motion is not known.
         """
         if track is None:
-            self._last = self._direction_rad = None
+            self._last = self._direction_rad = self.run_begin_ns = None
             self._parting = _Parting()
             return None
-        road_m = road.elevation_m if road.status == "known" else None
-        last, self._last = self._last, _PlacedFix(fix, track, road_m)
+        last = self._last
+        step = self._take(_PlacedFix(fix, track, road.elevation_m if road.status == "known" else None))
+        if last is None or step is not None or not 0.0 < _since_s(last.fix, fix) <= _LONGEST_GAP_S:
+            self.run_begin_ns = fix.time_ns
+        return step
+
+    def _take(self, this: _PlacedFix) -> FixStep | None:
+        fix, last, self._last = this.fix, self._last, this
         if last is None:
             return None
         if _base_of(fix) != _base_of(last.fix):
             return FixStep(None)
-        displacements = self._displacements(last, self._last)
-        beyond = self._beyond(last, self._last, displacements)
-        if not _is_vertical_step(last, self._last) and not self._is_step(last.fix, fix, beyond):
+        displacements = self._displacements(last, this)
+        beyond = self._beyond(last, this, displacements)
+        if not _is_vertical_step(last, this) and not self._is_step(last.fix, fix, beyond):
             self._steps = 0
             self._parting = _parting(last.fix, fix, beyond)
             self._follow(displacements)

@@ -61,6 +61,12 @@ def test_it_has_what_the_heights_along_the_track_of_the_fixes_say():
     assert residual().track_offset is None
 
 
+def test_it_has_since_when_the_fixes_have_not_stepped():
+    assert residual(pose=SEEN.model_copy(update={"fix_run_begin_time_ns": at(-90)})).run_begin_ns == at(-90)
+    assert residual(pose=SEEN).run_begin_ns is None
+    assert residual(pose=None).run_begin_ns is None
+
+
 def test_it_has_the_height_difference_without_any_correction():
     of = residual(correction_m=0.2)
     assert of.up_m == pytest.approx(0.25)

@@ -59,6 +59,29 @@ def test_a_base_is_reported_once_its_vector_has_lasted_longer_than_wrong_integer
     assert [news.reported for news in causes.news()] == ["ambiguous", "base"]
 
 
+def test_a_vector_of_fixes_that_have_not_stepped_for_longer_than_wrong_integers_last_is_a_base_at_once(
+    causes,
+):
+    off = {"verdict": "unknown", "up_m": None, "east_m": 12.0, "north_m": -9.0}
+    result = update(causes, 600, 720, **off, run_begin_ns=residual(-500).time_ns)
+    assert (result.cause, result.reported) == ("base", "base")
+    assert result.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
+    assert result.text == "+12.00 m east, -9.00 m north: fixes are off by one vector"
+
+
+@pytest.mark.parametrize("began", [300, 600, 660], ids=["before", "with the vector", "since"])
+def test_a_vector_of_fixes_that_have_stepped_may_be_of_wrong_integers(causes, began):
+    off = {"verdict": "unknown", "up_m": None, "east_m": 12.0, "north_m": -9.0}
+    assert update(causes, 600, 720, **off, run_begin_ns=residual(began).time_ns).reported == "ambiguous"
+
+
+def test_what_was_no_wrong_integers_stays_a_base_where_the_fixes_step(causes):
+    off = {"verdict": "unknown", "up_m": None, "east_m": 12.0, "north_m": -9.0}
+    update(causes, 600, 720, **off, run_begin_ns=residual(-500).time_ns)
+    assert update(causes, 720, 800, **off, run_begin_ns=residual(720).time_ns).reported == "base"
+    assert [news.reported for news in causes.news()] == ["base"]
+
+
 def test_a_base_is_named_too_where_the_pose_rested_on_fixes_before():
     causes = OffsetCauses(RULES)
     update(causes, 0, 300, horizontal_sigma_m=None)

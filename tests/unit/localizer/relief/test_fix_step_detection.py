@@ -145,3 +145,20 @@ def test_a_step_in_height_alone_shows_where_no_road_is_as_steep() -> None:
 
 def test_another_base_is_a_step_though_nothing_moves() -> None:
     assert steps_of(lambda _: (0.0, 0.0, 0.0), base=lambda at_s: "2" if at_s >= 7.0 else "1") == [7.0]
+
+
+def test_a_run_of_fixes_begins_with_the_first_of_them_after_a_step_and_after_a_gap() -> None:
+    detection, here = FixStepDetection(LEVER_M), TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.0, path_m=0.0)
+
+    def begin_s(at_s: float, *, east_m: float = 0.0, track: TrackPoint | None = here) -> float | None:
+        one = _fix(east_m, 0.0, 1.8, "1", time_ns=at(at_s / EVERY_S))
+        detection.step(one, track, road(elevation_m=0.0))
+        return None if detection.run_begin_ns is None else 1e-9 * (detection.run_begin_ns - at(0))
+
+    assert detection.run_begin_ns is None
+    assert [begin_s(at_s) for at_s in (0.0, 0.2, 1.2)] == [0.0] * 3
+    assert begin_s(2.4) == pytest.approx(2.4)
+    assert [begin_s(at_s, east_m=0.5) for at_s in (2.6, 2.8)] == pytest.approx([2.6, 2.6])
+    assert begin_s(2.6, east_m=0.5) == pytest.approx(2.6)
+    assert begin_s(3.0, track=None) is None
+    assert begin_s(3.2) == pytest.approx(3.2)
