@@ -198,9 +198,9 @@ def bytes_of(poses: Iterable[Pose]) -> list[bytes]:
     return [encode(pose) for pose in poses]
 
 
-def without_independent(poses: Iterable[Pose]) -> list[Pose]:
-    """The poses alone: the independent position uses the heights of fixes."""
-    return [pose.model_copy(update={"independent": None}) for pose in poses]
+def without_fixes(poses: Iterable[Pose]) -> list[Pose]:
+    """The poses alone: the independent position uses the heights of fixes, and a run is one of fixes."""
+    return [pose.model_copy(update={"independent": None, "fix_run_begin_time_ns": None}) for pose in poses]
 
 
 def test_without_a_start_there_is_no_pose_and_the_reason_is_reported() -> None:
@@ -343,6 +343,18 @@ def wandering_fix(tenth: int) -> Fix:
     return fix_at(tenth, tenth * 1.0 - 5.0, 12.0)
 
 
+def test_a_pose_has_since_when_the_fixes_have_not_stepped() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    assert drive.step().fix_run_begin_time_ns is None
+    begins = []
+    for _ in range(40):
+        tenth = drive.tenth + 1
+        pose = drive.step(fix_at(tenth, tenth * SPEED * STEP_S, 1.5 if tenth >= 20 else 0.0))
+        assert pose.fix_run_begin_time_ns is not None
+        begins.append((pose.fix_run_begin_time_ns - START_NS) * 10 // NS)
+    assert begins == [1] * 19 + [20] * 21
+
+
 @pytest.mark.parametrize("start", ["given", "confirmed", "given and confirmed"])
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(["arbitrary", "wandering", "many"]))
@@ -368,7 +380,7 @@ def test_no_unconfirmed_fix_changes_a_single_bit_of_a_pose_that_was_given_or_anc
             if "confirmed" in start and tenth % 25 == 24:
                 others.insert(len(others) // 2, verdict_at(tenth - 1, "confirmed", (tenth - 1) * 1.0, 0.01))
             drive.step(*others)
-        poses.append(bytes_of(without_independent(drive.bus.poses[begun:])))
+        poses.append(bytes_of(without_fixes(drive.bus.poses[begun:])))
     assert len(poses[0]) >= 60
     assert poses[0] == poses[1]
 
