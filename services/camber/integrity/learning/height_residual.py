@@ -80,6 +80,7 @@ def _without_differences(
         link_id=pose.link_id if pose is not None else None,
         track_offset=None if offset is None else track_offset_of(offset),
         run_begin_ns=None if pose is None else pose.fix_run_begin_time_ns,
+        heading_rad=None if pose is None else pose.yaw_rad,
     )
 
 

@@ -1,16 +1,17 @@
 """Are fixes off by one horizontal vector, or led away? Judged by an independent position, of whatever precision.
 
 If the fixes are right, the differences d of fix and independent position have mean zero and the covariance K of the
-errors of both. A fault adds s(t) · a with an unknown vector a: one vector since a time, s = 1 from then on (base
-station, datum), or a growing one, s the time since then (fixes that are led away). The statistic of one template is
-that of the generalised likelihood ratio for a Gaussian of known covariance (S. M. Kay, "Fundamentals of statistical
-signal processing", II, 6.4),
+errors of both. A fault adds s(t) H(t) a with an unknown vector a: one vector since a time, s = 1 from then on and H = 1
+(base station, datum), or a growing one, s the time since then (fixes that are led away), with H = 1, or H the rotation
+by the vehicle's heading: fixes that are led along roads turn where these do. What turns counts only where no other
+template is nearly as good. The statistic of one template is that of the generalised likelihood ratio for a Gaussian of
+known covariance (S. M. Kay, "Fundamentals of statistical signal processing", II, 6.4),
 
-    T = bᵀ A⁻¹ b,   A = Σᵢⱼ sᵢ sⱼ (K⁻¹)ᵢⱼ,   b = Σᵢⱼ sᵢ (K⁻¹)ᵢⱼ dⱼ     ~ χ² with two degrees of freedom without a fault,
+    T = bᵀ A⁻¹ b,   A = Σᵢⱼ sᵢ sⱼ Hᵢᵀ (K⁻¹)ᵢⱼ Hⱼ,   b = Σᵢⱼ sᵢ Hᵢᵀ (K⁻¹)ᵢⱼ dⱼ,   a = A⁻¹ b,
 
-with a = A⁻¹ b, at its largest over the times at which it may have begun. K is known in part only: T is the least over
-the covariances of `independent_errors`, each with a common part of `common_sigma_m` (survey, lever arm) and the fixes'
-own errors.
+T ~ χ² with two degrees of freedom without a fault, at its largest over the times at which it may have begun. K is known
+in part only: T is the least over the covariances of `independent_errors`, each with a common part of `common_sigma_m`
+(survey, lever arm) and the fixes' own errors.
 
 numpy only. Arrays (n,) by sample, metres and seconds.
 """
@@ -20,6 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -92,6 +94,7 @@ class _Sample:
     east_north_m: tuple[float, float]
     covariance_m2: tuple[float, float, float]
     fix_sigma_m: float
+    heading_rad: float
 
 
 class IndependentOffsets:
@@ -106,6 +109,7 @@ class IndependentOffsets:
         self._residuals: list[FixResidual] = []
         self._samples: list[_Sample] = []
         self._place: FixResidual | None = None
+        self._heading_rad = 0.0
         self._driven_m = 0.0
         self._wavering = 0
 
@@ -129,6 +133,8 @@ class IndependentOffsets:
         if self._place is not None:
             self._driven_m += distance_m(self._place, residuals[0])
         self._place = residuals[0]
+        heading_rad = residuals[len(residuals) // 2].heading_rad
+        self._heading_rad = self._heading_rad if heading_rad is None else heading_rad
         known = [of for each in residuals if (of := each.known_independent) is not None]
         east, north, ee, en, nn, fix = (statistics.median(column) for column in zip(*known, strict=True))
         return _Sample(
@@ -138,6 +144,7 @@ class IndependentOffsets:
             east_north_m=(east, north),
             covariance_m2=(ee, en, nn),
             fix_sigma_m=max(fix, _LEAST_FIX_SIGMA_M),
+            heading_rad=self._heading_rad,
         )
 
     def _add(self, sample: _Sample) -> None:
@@ -178,26 +185,51 @@ def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> Independ
         return None
     time_s = np.array([(each.time_ns - samples[-1].time_ns) / 1e9 for each in samples])
     statistic, size, unexplained = _statistics(samples, time_s, rules)
-    constant, growing = int(np.argmax(statistic[:n])), n + int(np.argmax(statistic[n:]))
-    apart = statistic[growing] - statistic[constant]
-    if max(statistic[constant], statistic[growing]) < rules.least_chi2 or abs(apart) < rules.margin:
-        return None
-    best = growing if apart > 0.0 else constant
-    onset = best if best < n else best - n
+    faults = (
+        _with_template(samples, time_s, best, size[best], float(unexplained[best]), rules)
+        for best in _best_templates(statistic, rules)
+    )
+    return next((fault for fault in faults if fault is not None), None)
+
+
+def _best_templates(statistic: Floats, rules: IndependentOffsetRules) -> Iterator[int]:
+    """Of T (3n − 2,): what turns, where it is best by far; then a vector or a growing one, if it is known which."""
+    n = (len(statistic) + 2) // 3
+    families = (0, n), (n, 2 * n - 1), (2 * n - 1, 3 * n - 2)
+    constant, growing, turning = (first + int(np.argmax(statistic[first:end])) for first, end in families)
+    best = max(constant, growing, key=lambda k: float(statistic[k]))
+    if statistic[turning] >= max(rules.least_chi2, statistic[best] + rules.margin):
+        yield turning
+    if statistic[best] >= rules.least_chi2 and abs(statistic[growing] - statistic[constant]) >= rules.margin:
+        yield best
+
+
+def _with_template(
+    samples: list[_Sample],
+    time_s: Floats,
+    best: int,
+    size: Floats,
+    unexplained: float,
+    rules: IndependentOffsetRules,
+) -> IndependentOffset | None:
+    """The fault by a template, if it has lasted long enough and the samples agree with it."""
+    n = len(samples)
+    onset = best if best < n else (best - n) % (n - 1)
     lasted_s = -float(time_s[onset])
     grown = np.ones(n - onset) if best < n else time_s[onset:] - time_s[onset]
-    path_m = grown[:, None] * size[best]  # (samples since, 2)
+    sizes: Floats = _turned(samples[onset:]) @ size if best >= 2 * n - 1 else np.tile(size, (n - onset, 1))
+    path_m = grown[:, None] * sizes  # (samples since, 2)
     now_m = float(np.hypot(*path_m[-1]))
     if best < n:
         long_enough = lasted_s >= (rules.least_far_s if now_m > rules.far_m else rules.least_s)
     else:
         long_enough = lasted_s >= rules.least_drift_s and now_m >= rules.least_drift_m
     near = _near(samples[onset:], path_m)
-    fits = best >= n and unexplained[best] <= 2.0 * n + _FIT_SIGMAS * 2.0 * math.sqrt(n)
+    fits = best >= n and unexplained <= 2.0 * n + _FIT_SIGMAS * 2.0 * math.sqrt(n)
     if not long_enough or not near[-1] or not (fits or float(near.mean()) >= rules.coherent):
         return None
     east_m, north_m = path_m[-1].tolist()
-    growth = size[best].tolist() if best >= n else (0.0, 0.0)
+    growth = sizes[-1].tolist() if best >= n else (0.0, 0.0)
     return IndependentOffset(
         kind="drift" if best >= n else "base",
         onset_ns=samples[onset].time_ns,
@@ -231,8 +263,8 @@ def _shows(sample: _Sample, rules: IndependentOffsetRules) -> bool:
 def _statistics(
     samples: list[_Sample], time_s: Floats, rules: IndependentOffsetRules
 ) -> tuple[Floats, Floats, Floats]:
-    """T (2n − 1,) of a vector since each sample, then of a growing one since each but the newest; sizes (2n − 1, 2);
-    and χ² (2n − 1,) of what each leaves unexplained.
+    """T (3n − 2,) of a vector since each sample, then of a growing one since each but the newest, then of one that
+    turns with the vehicle; sizes (3n − 2, 2); and χ² (3n − 2,) of what each leaves unexplained.
 
     T is the least over the covariances; a covariance by which there is no fault ends the search.
     """
@@ -243,14 +275,14 @@ def _statistics(
         renewed_m=_renewed_m(samples),
     )
     fix_m2 = np.repeat([each.fix_sigma_m**2 for each in samples], 2)
-    count = 2 * len(samples) - 1
+    turned, count = _turned(samples), 3 * len(samples) - 2
     statistic, size, unexplained = np.full(count, np.inf), np.zeros((count, 2)), np.zeros(count)
     for model in errors.models():
         covariance_m2 = model + rules.common_sigma_m**2 * np.eye(2)[:, None, :]
         n = len(fix_m2)
         joint: Floats = covariance_m2.reshape(n, n) + np.diag(fix_m2)
         inverse: Floats = np.asarray(np.linalg.inv(joint), dtype=np.float64)
-        by_model, sizes = _of_templates(inverse.reshape(covariance_m2.shape), seen_m, time_s)
+        by_model, sizes = _of_templates(inverse.reshape(covariance_m2.shape), seen_m, time_s, turned)
         less = by_model < statistic
         total = float(seen_m.reshape(n) @ inverse @ seen_m.reshape(n))
         statistic[less], size[less], unexplained[less] = by_model[less], sizes[less], total - by_model[less]
@@ -259,19 +291,39 @@ def _statistics(
     return statistic, size, unexplained
 
 
-def _of_templates(inverse: Floats, seen_m: Floats, time_s: Floats) -> tuple[Floats, Floats]:
-    """T and size of all templates, by sums over the samples since each; `inverse` (n, 2, n, 2)."""
+def _of_templates(inverse: Floats, seen_m: Floats, time_s: Floats, turned: Floats) -> tuple[Floats, Floats]:
+    """T and size of all templates, by sums over the samples since each; `inverse` (n, 2, n, 2), `turned` (n, 2, 2)."""
     weighted = np.einsum("iajb,jb->ia", inverse, seen_m)
+    standing = _normal_equations(inverse, weighted, time_s)
+    inverse = np.einsum("iac,iajb,jbd->icjd", turned, inverse, turned, optimize=True)
+    with_vehicle = _normal_equations(inverse, np.einsum("iac,ia->ic", turned, weighted), time_s)
+    a, b = (
+        np.concatenate((both, other[len(seen_m) :]))
+        for both, other in zip(standing, with_vehicle, strict=True)
+    )
+    size: Floats = np.asarray(np.linalg.solve(a, b[:, :, None])[:, :, 0], np.float64)
+    return np.einsum("ka,ka->k", b, size), size
+
+
+def _normal_equations(inverse: Floats, weighted: Floats, time_s: Floats) -> tuple[Floats, Floats]:
+    """A (2n − 1, 2, 2) and b (2n − 1, 2) of a vector since each sample, then of a growing one."""
     by_time = inverse * time_s[:, None, None, None]
     constant, mixed, grown = (_sums_since(each) for each in (inverse, by_time, by_time * time_s[:, None]))
     first, moment = (np.cumsum(each[::-1], axis=0)[::-1] for each in (weighted, weighted * time_s[:, None]))
     t = time_s[:-1, None]
     m = t[:, :, None]
     growing = grown[:-1] - m * (mixed[:-1] + mixed[:-1].transpose(0, 2, 1)) + m * m * constant[:-1]
-    a = np.concatenate((constant, growing))
-    b = np.concatenate((first, moment[:-1] - t * first[:-1]))
-    size = np.linalg.solve(a, b[:, :, None])[:, :, 0]
-    return np.einsum("ka,ka->k", b, size), size
+    a: Floats = np.concatenate((constant, growing))
+    b: Floats = np.concatenate((first, moment[:-1] - t * first[:-1]))
+    return a, b
+
+
+def _turned(samples: list[_Sample]) -> Floats:
+    """The rotations (n, 2, 2) from the vehicle's axes, at each sample."""
+    heading_rad = np.array([each.heading_rad for each in samples])
+    cos, sin = np.cos(heading_rad), np.sin(heading_rad)
+    turned: Floats = np.stack((np.stack((cos, -sin), axis=1), np.stack((sin, cos), axis=1)), axis=1)
+    return turned
 
 
 def _sums_since(terms: Floats) -> Floats:

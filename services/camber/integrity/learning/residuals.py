@@ -38,8 +38,8 @@ class FixResidual:
     time of the newest confirmed fix that the pose leans on, None where it leans on none. `independent` is fix less
     independent position, east and north, its covariance (ee, en, nn), and σ of the fix; `evidence_ns` is the time of
     its last evidence; `track_offset` is that of the fixes' own track by heights. Since `run_begin_ns` no fix has
-    stepped as to other integers, None: not known. `link_id` is the road's, from crossing to crossing; a surface is a
-    piece of it.
+    stepped as to other integers, None: not known. `heading_rad` is the pose's. `link_id` is the road's, from
+    crossing to crossing; a surface is a piece of it.
     """
 
     time_ns: int
@@ -61,6 +61,7 @@ class FixResidual:
     evidence_ns: int | None = None
     track_offset: JudgedTrackOffset | None = None
     run_begin_ns: int | None = None
+    heading_rad: float | None = None
 
     @property
     def confirmed(self) -> bool:

@@ -67,6 +67,11 @@ def test_it_has_since_when_the_fixes_have_not_stepped():
     assert residual(pose=None).run_begin_ns is None
 
 
+def test_it_has_the_heading_of_the_pose():
+    assert residual(pose=SEEN.model_copy(update={"yaw_rad": 0.7})).heading_rad == 0.7
+    assert residual(pose=None).heading_rad is None
+
+
 def test_it_has_the_height_difference_without_any_correction():
     of = residual(correction_m=0.2)
     assert of.up_m == pytest.approx(0.25)

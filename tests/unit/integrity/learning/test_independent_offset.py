@@ -14,6 +14,7 @@ from camber.integrity.learning.independent_offset import (
     _MOST_SAMPLES,
     IndependentOffsetRules,
     IndependentOffsets,
+    _best_templates,
 )
 from support.independent_drives import ERRORS, Drive, residuals
 from support.residual_drives import KEY, RATE_HZ, SPEED_M_S, START_NS, residual
@@ -29,11 +30,12 @@ def fault(drive, vector_m=(0.0, 0.0), rate_m_s=(0.0, 0.0), at_s=0.0, until_s=mat
     return on * np.array(vector_m) + np.maximum(time_s - at_s, 0.0)[:, None] * np.array(rate_m_s)
 
 
-def first_named(drive, seed, fault_m=None):
+def first_named(drive, seed, fault_m=None, headings_rad=None):
     """Seconds until something is named, and what; None: nothing was."""
     offsets = IndependentOffsets(RULES)
     for epoch, one in enumerate(residuals(drive, seed, fault_m)):
-        offsets.update(one)
+        heading_rad = None if headings_rad is None else float(headings_rad[epoch])
+        offsets.update(replace(one, heading_rad=heading_rad))
         if offsets.fault is not None:
             return epoch / drive.rate_hz, offsets.fault
     return None
@@ -85,6 +87,71 @@ def test_fixes_led_away_are_named_in_time_with_their_rate(rate_m_s, sigma_m, mos
         assert named.describe().startswith("fixes are led away by ")
 
 
+def winding_rad(drive):
+    """Headings (n,) on a road that turns by a right angle to the left or right each twenty seconds."""
+    turns = np.cumsum(np.array([1, 1, -1, 1, -1, -1, -1, 1] * 20))
+    return 0.5 * math.pi * turns[(np.arange(int(drive.seconds)) // 20)]
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_fixes_led_away_along_a_winding_road_or_beside_it_are_named_in_time(along):
+    print("seeds 0 to 2")
+    drive = replace(STEADY, seconds=200.0, sigma_m=0.8, heading_rad=0.0)
+    headings_rad = winding_rad(drive) + (0.0 if along else 0.5 * math.pi)
+    led_m = fault(drive, rate_m_s=(0.1, 0.0), at_s=60.0)[:, :1] * np.column_stack(
+        (np.cos(headings_rad), np.sin(headings_rad))
+    )
+    for seed in range(3):
+        named_s, named = first_named(drive, seed, led_m, winding_rad(drive))
+        assert named.kind == "drift"
+        assert named_s - 60.0 <= 90.0
+        assert named.east_north_m == pytest.approx(led_m[int(named_s) - 2], abs=3.2)
+        assert math.hypot(*named.growth_m_s) == pytest.approx(0.1, abs=0.12)
+
+
+def test_a_base_twelve_metres_off_is_a_base_on_a_winding_road_too():
+    print("seeds 0 to 2")
+    drive = replace(STEADY, seconds=160.0, sigma_m=0.8)
+    for seed in range(3):
+        _, named = first_named(drive, seed, fault(drive, (12.0, 0.0), at_s=60.0), winding_rad(drive))
+        assert named.kind == "base"
+
+
+@pytest.mark.parametrize(
+    ("vector", "grows", "turns", "expected"),
+    [
+        (60.0, 50.0, 69.0, ["turns", "vector"]),
+        (60.0, 50.0, 68.9, ["vector"]),
+        (50.0, 60.0, 69.0, ["turns", "grows"]),
+        (60.0, 51.1, 69.0, ["turns"]),
+        (60.0, 51.1, 68.0, []),
+        (20.0, 10.0, 36.0, ["turns"]),
+        (20.0, 10.0, 35.9, []),
+        (36.0, 27.0, 30.0, ["vector"]),
+        (35.9, 10.0, 30.0, []),
+    ],
+)
+def test_what_turns_goes_first_where_it_is_best_by_far_and_takes_nothing_from_the_others(
+    vector, grows, turns, expected
+):
+    """Of four samples: since the third, the second and the first."""
+    statistic = np.zeros(10)
+    statistic[[2, 5, 7]] = vector, grows, turns
+    names = {2: "vector", 5: "grows", 7: "turns"}
+    assert [names[best] for best in _best_templates(statistic, RULES)] == expected
+
+
+def test_where_the_heading_is_not_known_it_is_the_one_before():
+    drive = replace(STEADY, seconds=200.0, sigma_m=0.8, heading_rad=0.0)
+    offsets, led_m = IndependentOffsets(RULES), fault(drive, rate_m_s=(0.1, 0.0), at_s=60.0)
+    led_m[140:] = np.column_stack((np.zeros(60), led_m[140:, 0]))
+    for epoch, one in enumerate(residuals(drive, 1, led_m)):
+        known = epoch in (0, 140, 141)
+        offsets.update(replace(one, heading_rad=0.5 * math.pi * (epoch >= 140) if known else None))
+    assert offsets.fault.kind == "drift"
+    assert offsets.fault.growth_m_s == pytest.approx((0.0, 0.1), abs=0.02)
+
+
 def test_an_error_of_the_independent_position_when_the_drift_begins_does_not_delay_its_naming():
     """Differences begin at 2.6 σ and turn away: they miss the path by more than half of it, but the model fits."""
     named = {}
@@ -129,8 +196,9 @@ def test_a_slow_error_of_the_independent_position_is_no_drift():
 def test_right_fixes_are_never_named_whatever_goes_on_with_the_independent_errors(errors, sigma_m):
     """An hour of driving for each of ten cases."""
     print("seeds 0 to 3")
+    drive = Drive(seconds=900, errors=errors, sigma_m=sigma_m)
     for seed in range(4):
-        assert first_named(Drive(seconds=900, errors=errors, sigma_m=sigma_m), seed) is None
+        assert first_named(drive, seed, headings_rad=winding_rad(drive)) is None
 
 
 @pytest.mark.slow

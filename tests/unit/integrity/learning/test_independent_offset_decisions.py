@@ -35,6 +35,7 @@ def sample(number, east_north_m, covariance_m2=(0.09, 0.0, 0.09), fix_sigma_m=0.
         "time_ns": START_NS + number * 2 * 10**9,
         "driven_m": 50.0 * number,
         "evidence_ns": START_NS + number * 2 * 10**9,
+        "heading_rad": 0.0,
     }
     return _Sample(
         east_north_m=tuple(east_north_m),
@@ -65,6 +66,10 @@ def scaled(samples, factor):
     return [replace(each, east_north_m=tuple(factor * m for m in each.east_north_m)) for each in samples]
 
 
+def headings(samples):
+    return [each.heading_rad for each in samples]
+
+
 def matrices(samples):
     return [np.array(((ee, en), (en, nn))) for ee, en, nn in (each.covariance_m2 for each in samples)]
 
@@ -88,6 +93,7 @@ def random_samples(rng, count):
                 float(rng.uniform(0.3, 1.5)),
                 driven_m=driven_m,
                 evidence_ns=k if has_evidence else None,
+                heading_rad=float(rng.uniform(-4.0, 4.0)),
             )
         )
     return result
@@ -105,8 +111,11 @@ def by_least_squares(samples, rules):
         renewed_m=driven_m[renewed],
     )
     time_s = times_s(samples)
-    shapes = [np.where(np.arange(n) >= k, 1.0, 0.0) for k in range(n)]
-    shapes += [np.maximum(time_s - time_s[k], 0.0) for k in range(n - 1)]
+    constant = [np.where(np.arange(n) >= k, 1.0, 0.0) for k in range(n)]
+    growing = [np.maximum(time_s - time_s[k], 0.0) for k in range(n - 1)]
+    shapes = [np.kron(shape[:, None], np.eye(2)) for shape in (*constant, *growing)]
+    turned = [np.array(((math.cos(h), -math.sin(h)), (math.sin(h), math.cos(h)))) for h in headings(samples)]
+    shapes += [np.concatenate([s * turn for s, turn in zip(shape, turned, strict=True)]) for shape in growing]
     for model in errors.models():
         joint = model.reshape(2 * n, 2 * n) + np.kron(np.ones((n, n)), rules.common_sigma_m**2 * np.eye(2))
         joint += np.diag(np.repeat([each.fix_sigma_m**2 for each in samples], 2))
@@ -114,7 +123,7 @@ def by_least_squares(samples, rules):
         white = whitening @ seen
         rows = []
         for shape in shapes:
-            design = whitening @ np.kron(shape[:, None], np.eye(2))
+            design = whitening @ shape
             size, *_ = np.linalg.lstsq(design, white, rcond=None)
             left = float(np.sum((white - design @ size) ** 2))
             rows.append((float(white @ white) - left, *size, left))
