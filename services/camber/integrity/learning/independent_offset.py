@@ -23,7 +23,7 @@ import math
 import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,14 @@ class _Sample:
     covariance_m2: tuple[float, float, float]
     fix_sigma_m: float
     heading_rad: float
+
+
+class _Template(NamedTuple):
+    """One of those of `_statistics`, the size (2,) of its vector, and χ² of what it leaves unexplained."""
+
+    number: int
+    size: Floats
+    unexplained: float
 
 
 class IndependentOffsets:
@@ -183,10 +191,9 @@ def _fault_of(samples: list[_Sample], rules: IndependentOffsetRules) -> Independ
     n = len(samples)
     if n < 3 or not _shows(samples[-1], rules):
         return None
-    time_s = np.array([(each.time_ns - samples[-1].time_ns) / 1e9 for each in samples])
-    statistic, size, unexplained = _statistics(samples, time_s, rules)
+    statistic, size, unexplained = _statistics(samples, rules)
     faults = (
-        _with_template(samples, time_s, best, size[best], float(unexplained[best]), rules)
+        _with_template(samples, _Template(best, size[best], float(unexplained[best])), rules)
         for best in _best_templates(statistic, rules)
     )
     return next((fault for fault in faults if fault is not None), None)
@@ -205,15 +212,11 @@ def _best_templates(statistic: Floats, rules: IndependentOffsetRules) -> Iterato
 
 
 def _with_template(
-    samples: list[_Sample],
-    time_s: Floats,
-    best: int,
-    size: Floats,
-    unexplained: float,
-    rules: IndependentOffsetRules,
+    samples: list[_Sample], template: _Template, rules: IndependentOffsetRules
 ) -> IndependentOffset | None:
     """The fault by a template, if it has lasted long enough and the samples agree with it."""
-    n = len(samples)
+    n, (best, size, unexplained) = len(samples), template
+    time_s = _times_s(samples)
     onset = best if best < n else (best - n) % (n - 1)
     lasted_s = -float(time_s[onset])
     grown = np.ones(n - onset) if best < n else time_s[onset:] - time_s[onset]
@@ -260,9 +263,7 @@ def _shows(sample: _Sample, rules: IndependentOffsetRules) -> bool:
     return chi2 > _LEAST_SHOWN_CHI2
 
 
-def _statistics(
-    samples: list[_Sample], time_s: Floats, rules: IndependentOffsetRules
-) -> tuple[Floats, Floats, Floats]:
+def _statistics(samples: list[_Sample], rules: IndependentOffsetRules) -> tuple[Floats, Floats, Floats]:
     """T (3n − 2,) of a vector since each sample, then of a growing one since each but the newest, then of one that
     turns with the vehicle; sizes (3n − 2, 2); and χ² (3n − 2,) of what each leaves unexplained.
 
@@ -274,6 +275,7 @@ def _statistics(
         driven_m=np.array([each.driven_m for each in samples]),
         renewed_m=_renewed_m(samples),
     )
+    time_s = _times_s(samples)
     fix_m2 = np.repeat([each.fix_sigma_m**2 for each in samples], 2)
     turned, count = _turned(samples), 3 * len(samples) - 2
     statistic, size, unexplained = np.full(count, np.inf), np.zeros((count, 2)), np.zeros(count)
@@ -316,6 +318,12 @@ def _normal_equations(inverse: Floats, weighted: Floats, time_s: Floats) -> tupl
     a: Floats = np.concatenate((constant, growing))
     b: Floats = np.concatenate((first, moment[:-1] - t * first[:-1]))
     return a, b
+
+
+def _times_s(samples: list[_Sample]) -> Floats:
+    """Times (n,) of the samples after the newest."""
+    times_s: Floats = np.array([(each.time_ns - samples[-1].time_ns) / 1e9 for each in samples])
+    return times_s
 
 
 def _turned(samples: list[_Sample]) -> Floats:

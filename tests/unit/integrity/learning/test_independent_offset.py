@@ -94,7 +94,7 @@ def winding_rad(drive):
 
 
 @pytest.mark.parametrize("along", [True, False])
-def test_fixes_led_away_along_a_winding_road_or_beside_it_are_named_in_time(along):
+def test_fixes_led_away_along_a_winding_road_or_across_it_are_named_in_time(along):
     print("seeds 0 to 2")
     drive = replace(STEADY, seconds=200.0, sigma_m=0.8, heading_rad=0.0)
     headings_rad = winding_rad(drive) + (0.0 if along else 0.5 * math.pi)

@@ -134,7 +134,7 @@ def by_least_squares(samples, rules):
 def test_the_statistic_is_the_least_over_the_covariances_of_what_least_squares_gives(seed):
     rules = replace(RULES, least_chi2=0.0, common_sigma_m=0.6)
     samples = random_samples(np.random.default_rng(seed), 7)
-    statistic, size, unexplained = _statistics(samples, times_s(samples), rules)
+    statistic, size, unexplained = _statistics(samples, rules)
     of_models = np.array(list(by_least_squares(samples, rules)))
     least = np.argmin(of_models[:, :, 0], axis=0)
     assert len(set(least.tolist())) > 1, "no model has the least of all templates"
@@ -146,9 +146,9 @@ def test_the_statistic_is_the_least_over_the_covariances_of_what_least_squares_g
 
 def test_a_covariance_by_which_there_is_no_fault_ends_the_search_and_one_at_the_bound_does_not():
     samples = random_samples(np.random.default_rng(1), 7)
-    first, _, _ = _statistics(samples, times_s(samples), replace(RULES, least_chi2=1e9))
-    all_of_them, _, _ = _statistics(samples, times_s(samples), replace(RULES, least_chi2=0.0))
-    at_bound, _, _ = _statistics(samples, times_s(samples), replace(RULES, least_chi2=float(first.max())))
+    first, _, _ = _statistics(samples, replace(RULES, least_chi2=1e9))
+    all_of_them, _, _ = _statistics(samples, replace(RULES, least_chi2=0.0))
+    at_bound, _, _ = _statistics(samples, replace(RULES, least_chi2=float(first.max())))
     assert first.sum() > all_of_them.sum()
     assert np.array_equal(at_bound, all_of_them)
 
@@ -232,7 +232,7 @@ def test_a_growing_one_counts_from_its_least_time_and_its_least_length_on():
 
 def test_it_needs_the_least_statistic_and_a_distinction_of_the_two_kinds():
     samples = led_away(8)
-    statistic, _, _ = _statistics(samples, times_s(samples), ANY)
+    statistic, _, _ = _statistics(samples, ANY)
     most, apart = float(statistic.max()), float(statistic[8:].max() - statistic[:8].max())
     assert most > apart > 0.0
     for rules in (replace(ANY, least_chi2=most), replace(ANY, margin=apart)):
@@ -245,7 +245,7 @@ def test_it_needs_the_least_statistic_and_a_distinction_of_the_two_kinds():
 def test_the_likelier_kind_is_named_however_little_likelier():
     """Fixes of 2.6 m that are led away by 1 m in each sample."""
     samples = [sample(k, (float(k), 0.0), (0.01, 0.0, 0.01), 2.6) for k in range(5)]
-    statistic, _, _ = _statistics(samples, times_s(samples), ANY)
+    statistic, _, _ = _statistics(samples, ANY)
     assert 0.0 < float(statistic[5:].max() - statistic[:5].max()) < 1.0
     assert _fault_of(samples, ANY).kind == "drift"
 
@@ -255,7 +255,7 @@ def test_errors_explain_the_rest_of_a_drift_up_to_two_sigma_of_chi2(count):
     """χ² of two numbers from each sample: the mean 2n, and σ the root of twice that."""
     most = 2.0 * count + 2.0 * math.sqrt(2.0 * 2.0 * count)
     samples = led_away(count, across_m=0.5)
-    statistic, _, unexplained = _statistics(samples, times_s(samples), BY_FIT)
+    statistic, _, unexplained = _statistics(samples, BY_FIT)
     assert int(np.argmax(statistic)) == count, "since the first"
     factor = math.sqrt(most / float(unexplained[count]))
     assert _fault_of(scaled(samples, factor * 0.999), BY_FIT).kind == "drift"

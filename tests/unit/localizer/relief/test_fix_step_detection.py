@@ -90,20 +90,20 @@ def test_fixes_that_are_led_away_slowly_are_no_step() -> None:
     assert steps_of(lambda at_s: (0.3 * at_s, 0.0, 0.0)) == []
 
 
-def _beside(at_s: float, distance_m: float) -> tuple[float, float, float]:
+def _to_the_left(at_s: float, distance_m: float) -> tuple[float, float, float]:
     """To the left of the vehicle of `timed_steps`, that far."""
     return *rotated(TURNED_RAD + _yaw_rad(at_s), 0.0, distance_m), 0.0
 
 
-def test_fixes_led_away_beside_the_road_turn_with_it_and_make_no_step() -> None:
+def test_fixes_led_away_across_the_road_turn_with_it_and_make_no_step() -> None:
     between_m = 0.05 * 120.0 * RATE_RAD_S * EVERY_S
     assert between_m > 0.3
-    assert steps_of(lambda at_s: _beside(at_s, 0.05 * (110.0 + at_s))) == []
+    assert steps_of(lambda at_s: _to_the_left(at_s, 0.05 * (110.0 + at_s))) == []
 
 
 def test_other_integers_are_a_step_while_fixes_led_away_turn() -> None:
     def off_m(at_s: float) -> tuple[float, float, float]:
-        east_m, north_m, _ = _beside(at_s, 0.05 * (110.0 + at_s))
+        east_m, north_m, _ = _to_the_left(at_s, 0.05 * (110.0 + at_s))
         return east_m + (0.5 if at_s >= 5.0 else 0.0), north_m, 0.0
 
     assert steps_of(off_m) == [5.0]
