@@ -3,8 +3,8 @@ heights along it fit the road.
 
 The search begins at the pose, which may rest on fixes that are off, so its prior admits what fixes can be off by, and
 the result counts only once the heights outweigh it: the prior's share in the position is at most
-`MAX_PRIOR_SHARE` in every direction. A pose off by d then moves the result by at most that share of d: 2 % is 20 cm of
-10 m, within the σ of 2.8 m that the share leaves. A road without relief, or a straight one, starts nothing.
+`MAX_PRIOR_SHARE` in every direction. A pose off by d then moves the result by at most that share of d: 4 % is 40 cm of
+10 m, a tenth of the σ of 4 m that the share leaves. A road without relief, or a straight one, starts nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from camber.localizer.relief.terrain_contour_matching import HeightWindow, estim
 from camber.localizer.relief.track_errors import track_error_modes
 from camber.localizer.relief.white_noise import white_sigma_m
 
-MAX_PRIOR_SHARE: Final = 0.02  # chosen: see above
+MAX_PRIOR_SHARE: Final = 0.04  # derived: a pose off by 10 m moves the result by a tenth of its σ
 PRIOR_SIGMA_M: Final = 20.0  # chosen: a base coordinate, or positions led away, before the heights show it
 _PRIOR_YAW_RAD: Final = math.radians(2.0)  # chosen: fixes led away across by 0.3 m/s at 10 m/s
 _SPACING_M: Final = 10.0  # chosen: shorter than the road's waves, longer than what a map's error needs
