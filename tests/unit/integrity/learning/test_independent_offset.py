@@ -141,12 +141,20 @@ def test_what_turns_goes_first_where_it_is_best_by_far_and_takes_nothing_from_th
     assert [names[best] for best in _best_templates(statistic, RULES)] == expected
 
 
+@pytest.mark.parametrize("template", range(10))
+def test_any_template_that_alone_explains_the_differences_is_the_one(template):
+    """Of four samples: a vector since each, a growing one since each but the newest, and one that turns."""
+    statistic = np.zeros(10)
+    statistic[template] = 60.0
+    assert list(_best_templates(statistic, RULES)) == [template]
+
+
 def test_where_the_heading_is_not_known_it_is_the_one_before():
     drive = replace(STEADY, seconds=200.0, sigma_m=0.8, heading_rad=0.0)
     offsets, led_m = IndependentOffsets(RULES), fault(drive, rate_m_s=(0.1, 0.0), at_s=60.0)
     led_m[140:] = np.column_stack((np.zeros(60), led_m[140:, 0]))
     for epoch, one in enumerate(residuals(drive, 1, led_m)):
-        known = epoch in (0, 140, 141)
+        known = epoch in (0, 141)  # the middle one of the sample that begins at 140
         offsets.update(replace(one, heading_rad=0.5 * math.pi * (epoch >= 140) if known else None))
     assert offsets.fault.kind == "drift"
     assert offsets.fault.growth_m_s == pytest.approx((0.0, 0.1), abs=0.02)

@@ -251,6 +251,13 @@ def test_a_mean_of_a_metre_across_is_like_one_of_a_little_more():
     assert result[0] < 0.95 * along_the_axis
 
 
+def test_a_mean_of_a_metre_along_the_axis_is_like_one_of_a_little_more():
+    exactly_a_metre, more = (
+        levels_m([(1.0, along_m, 0.0, 0.4, 0.4)], [1e-3])[0] for along_m in (1.0, 1.0 + 1e-9)
+    )
+    assert exactly_a_metre == pytest.approx(more, rel=1e-6)
+
+
 def test_what_has_no_error_takes_nothing_of_the_risk_beyond_where_it_is():
     wide = (0.01, 0.0, 0.0, 0.5, 0.5)
     exact = math.sqrt(-math.log(SPENT * 1e-7 / 0.01))
