@@ -15,6 +15,9 @@ from camber.integrity.learning.independent_offset import (
     IndependentOffsetRules,
     IndependentOffsets,
     _best_templates,
+    _Sample,
+    _Template,
+    _with_template,
 )
 from support.independent_drives import ERRORS, Drive, residuals
 from support.residual_drives import KEY, RATE_HZ, SPEED_M_S, START_NS, residual
@@ -336,3 +339,57 @@ def test_residuals_without_an_independent_position_are_no_samples():
     for number in range(20):
         assert not offsets.update(residual(20 * number))
     assert offsets.fault is None
+
+
+# --- one template ----------------------------------------------------------------------------------------------------
+
+
+APART_S, COUNT = 20.0, 6
+
+
+def samples_on(path_m, headings_rad):
+    """One each 20 s, on this path (n, 2)."""
+    return [
+        _Sample(
+            time_ns=START_NS + round(k * APART_S * 1e9),
+            driven_m=10.0 * k,
+            evidence_ns=None,
+            east_north_m=tuple(path_m[k].tolist()),
+            covariance_m2=(0.04, 0.0, 0.04),
+            fix_sigma_m=0.1,
+            heading_rad=float(headings_rad[k]),
+        )
+        for k in range(COUNT)
+    ]
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("onset", range(COUNT - 1))
+def test_a_growing_template_is_as_fast_as_its_size_and_turns_with_the_vehicle_or_not(onset, turns):
+    headings_rad = 0.4 * np.arange(COUNT)
+    size = np.array([0.1, 0.02])
+    cos, sin = np.cos(headings_rad), np.sin(headings_rad)
+    turned = np.column_stack((cos * size[0] - sin * size[1], sin * size[0] + cos * size[1]))
+    rates = turned if turns else np.tile(size, (COUNT, 1))
+    path_m = APART_S * np.maximum(np.arange(COUNT) - onset, 0.0)[:, None] * rates
+    number = (2 * COUNT - 1 if turns else COUNT) + onset
+    template = _Template(number, size, 1e9)
+    named = _with_template(samples_on(path_m, headings_rad), template, RULES)
+    assert named.kind == "drift"
+    assert named.onset_ns == START_NS + round(onset * APART_S * 1e9)
+    assert named.growth_m_s == pytest.approx(tuple(rates[-1]))
+    assert named.east_north_m == pytest.approx(tuple(path_m[-1]))
+
+
+@pytest.mark.parametrize(("unexplained", "is_named"), [(0.0, True), (1e9, False)])
+@pytest.mark.parametrize("onset", [0, 1])
+def test_a_growing_template_that_few_samples_are_near_counts_where_errors_explain_them(
+    onset, unexplained, is_named
+):
+    path_m = np.full((COUNT, 2), 30.0)
+    size = np.array([0.1, 0.0])
+    path_m[-1] = APART_S * (COUNT - 1 - onset) * size
+    named = _with_template(
+        samples_on(path_m, np.zeros(COUNT)), _Template(COUNT + onset, size, unexplained), RULES
+    )
+    assert (named is not None) == is_named
