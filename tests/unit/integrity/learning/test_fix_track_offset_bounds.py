@@ -81,7 +81,7 @@ def test_an_estimate_of_the_least_statistic_itself_is_a_fault_and_one_of_the_las
     small = offset((0.5, 0.0), end_s=140)
     faults.rules = replace(RULES, ended_chi2=small.chi2(common_sigma_m))
     faults.update(small, "base")
-    assert faults.fault is not None
+    assert faults.fault == offset(end_s=130), "as it was named"
     faults.update(offset((0.49, 0.0), end_s=150), "base")
     assert faults.fault is None
 
