@@ -99,7 +99,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -c "import camber; from importlinter.cli import lint_imports_command as run; run()" --no-cache
 	$(BIN)/python -m camber.tools.generate_docs --check
 	$(MAKE) docs-site
 	$(MAKE) licences >/dev/null

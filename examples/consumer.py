@@ -12,9 +12,9 @@ import contextlib
 import json
 import math
 
+import camber
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.runtime.subscription import Subscription
 from camber.schemas.integrity import Position
 
 PROG = "consumer.py"
@@ -46,22 +46,17 @@ def main() -> None:
     words = [] if args.connect is None else ["--zenoh.connect", json.dumps(args.connect)]
     settings = load_or_exit(ServiceSettings, ["--vehicle", args.vehicle, *words], prog=PROG)
     print("unknown (no position yet)", flush=True)
+    vehicle = camber.connect(settings.vehicle, zenoh=settings.zenoh, replay=args.replay)
     try:
-        listener = Subscription(
-            "position", vehicle=settings.vehicle, zenoh=settings.zenoh, live=not args.replay
-        )
+        positions = vehicle.positions()
     except BusError as error:
         raise SystemExit(f"{PROG}: {error}") from None
-    with listener:
-        valid_s = None
-        while True:
-            position = listener.next(timeout_s=valid_s)
+    with positions:
+        for position in positions:
             if position is None:
                 print("unknown (nothing new: the last position is too old)", flush=True)
-                valid_s = None
             else:
                 print(line(position), flush=True)
-                valid_s = listener.fresh_for_s("position", position)
 
 
 if __name__ == "__main__":

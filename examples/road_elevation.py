@@ -13,23 +13,11 @@ import math
 import sys
 from pathlib import Path
 
-from camber.map_server.release_queries import ReleaseQueries
-from camber.road_map.release import ReleaseError, open_release
-from camber.schemas.pose import Road
-from camber.schemas.road import ElevationRequest
+import camber
+from camber.road_map.release import ReleaseError
 from camber.tools.options.number_options import LATITUDE, LONGITUDE
 
 PROG = "road_elevation.py"
-
-
-def road_at(folder: Path, latitude_deg: float, longitude_deg: float) -> Road:
-    """Return the road of the release in a folder; raises ReleaseError where the release is damaged or missing."""
-    release = open_release(folder)
-    time_ns = release.manifest.time_ns  # an age check is the task of the map_server service
-    request = ElevationRequest(
-        time_ns=time_ns, latitude_rad=math.radians(latitude_deg), longitude_rad=math.radians(longitude_deg)
-    )
-    return ReleaseQueries(release).elevation(request, time_ns=time_ns).road
 
 
 def main() -> int:
@@ -42,15 +30,17 @@ def main() -> int:
     parser.add_argument("longitude", type=LONGITUDE, help="degrees")
     args = parser.parse_args()
     try:
-        road = road_at(args.release, args.latitude, args.longitude)
+        road_map = camber.Map(args.release)
+        roads = road_map.elevations(math.radians(args.latitude), math.radians(args.longitude))
     except ReleaseError as error:
         print(f"{PROG}: {error}", file=sys.stderr)
         return 2
-    if road.status == "unknown":
-        print(f"unknown ({road.reason})")
+    road = {name: column[0] for name, column in roads.items()}
+    if road["reason"] != "none":
+        print(f"unknown ({road['reason']})")
     else:
-        print(f"elevation {road.elevation_m:.3f} m ({road.datum}), sigma {road.sigma_m:.3f} m")
-        print(f"slope {road.slope_east:+.2%} to the east, {road.slope_north:+.2%} to the north")
+        print(f"elevation {road['elevation_m']:.3f} m ({road_map.datum}), sigma {road['sigma_m']:.3f} m")
+        print(f"slope {road['slope_east']:+.2%} to the east, {road['slope_north']:+.2%} to the north")
     return 0
 
 

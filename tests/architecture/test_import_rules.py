@@ -15,10 +15,13 @@ from support.tree import ROOT
 
 
 def lint(root: Path) -> subprocess.CompletedProcess[str]:
-    """Run import-linter on the sources under `root`; -S keeps an editable install of this checkout out of it."""
+    """Run import-linter on the sources under `root`; -S keeps an editable install of this checkout out of it.
+
+    `import camber` before it: the package has two roots, and import-linter looks where the imported one does.
+    """
     installed = (sysconfig.get_path("purelib"), sysconfig.get_path("platlib"))
     paths = os.pathsep.join(map(str, (root / "schemas", root / "services", *installed)))
-    code = "from importlinter.cli import lint_imports_command as run; run()"
+    code = "import camber; from importlinter.cli import lint_imports_command as run; run()"
     options = ("--no-cache", "--config", ROOT / "pyproject.toml")
     return python(
         "-S", "-c", code, *options, env=os.environ | {"PYTHONPATH": paths, "COLUMNS": "300"}, cwd=root

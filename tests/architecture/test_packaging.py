@@ -12,16 +12,17 @@ from pathlib import Path
 import hatchling.build
 import pytest
 
+import camber
 from support.running import python
 from support.tree import ROOT, SOURCE_ROOTS
 
 PACKAGES = sorted({path.parent for root in SOURCE_ROOTS for path in root.rglob("*.py")} - set(SOURCE_ROOTS))
 
 
-@pytest.mark.parametrize("root", SOURCE_ROOTS, ids=lambda root: root.parent.name)
-def test_the_root_of_the_namespace_is_no_package(root: Path) -> None:
-    assert root.is_dir()
-    assert not (root / "__init__.py").exists(), "it would hide the other source root"
+def test_the_package_begins_in_one_of_its_roots_and_extends_over_the_other() -> None:
+    begins = [root for root in SOURCE_ROOTS if (root / "__init__.py").exists()]
+    assert begins == [ROOT / "services" / "camber"], "another would hide a source root"
+    assert {str(root) for root in SOURCE_ROOTS} <= set(camber.__path__)
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
@@ -38,11 +39,11 @@ def test_both_roots_are_installed(tmp_path: Path) -> None:
     assert done.stdout == "both\n", f"make setup installs them\n{done.stderr}"
 
 
-def test_a_wheel_holds_both_roots_and_leaves_the_namespace_open(tmp_path: Path) -> None:
+def test_a_wheel_holds_both_roots_and_says_that_it_is_typed(tmp_path: Path) -> None:
     python("-m", "hatchling", "build", "--target", "wheel", "--directory", tmp_path, cwd=ROOT)
     (wheel,) = tmp_path.glob("camber-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert "camber/__init__.py" not in names
+    assert {"camber/__init__.py", "camber/py.typed"} <= names
     assert not [name for name in names if name.startswith(("schemas/", "services/", "tests/"))]
     for root in SOURCE_ROOTS:
         built = {str(path.relative_to(root.parent)) for path in root.rglob("*.py")}

@@ -5,7 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from camber.map_server.batch_road_selection import SelectedRoads
 from camber.map_server.elevation_queries import ElevationMap
 from camber.map_server.links import links_around
 from camber.road_map.release import BlobMissingError, Release
@@ -48,6 +50,10 @@ class ReleaseQueries:
             with suppress(BlobMissingError):
                 ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
         return ElevationReply(time_ns=time_ns, road=road, ahead=ahead)
+
+    def roads(self, latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> SelectedRoads:
+        """Return the roads under n points given as two arrays (n,), without topology."""
+        return self._elevation.roads(latitude_rad, longitude_rad)
 
     def links(self, request: LinksRequest, *, time_ns: int) -> LinksReply:
         """Answer the links around a point."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
 
 from camber.replay.drive_inputs import DriveInputs
+from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import SERVICES
-from camber.schemas.drive import DriveManifest
+from camber.schemas.drive import DriveManifest, ManifestError
 from camber.tools.localize.localizer_config import localizer_config
+
+S = TypeVar("S", bound=ServiceSettings)
 
 EPHEMERIDES_OF_SATELLITE = 150
 """A replay reads the navigation files of a whole day at its first tick: 24 h of ephemerides, at most one in 10 minutes
@@ -81,3 +87,21 @@ def antenna_height_settings(manifest: DriveManifest) -> dict[str, Any]:
         "beam_azimuth_deg": height.beam_azimuth_deg,
         **{name: value for name, value in settings.items() if value is not None},
     }
+
+
+def validated_settings(service: str, kind: type[S], table: Mapping[str, Any]) -> S:
+    """Return a service's settings, from the table alone: the user's environment must not change a replay.
+
+    Raises ManifestError that names the service and the setting.
+    """
+    environment = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("CAMBER_")}
+    try:
+        return kind(**table)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        setting = ".".join(str(part) for part in first["loc"])
+        raise ManifestError(
+            f"{service}: {setting}: {first['msg']} (got {str(first['input'])[:60]!r})"
+        ) from None
+    finally:
+        os.environ.update(environment)

@@ -11,7 +11,6 @@ that a process takes to start.
 from __future__ import annotations
 
 import importlib
-import os
 import shutil
 import time
 from collections import Counter
@@ -20,23 +19,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import ValidationError
-
 from camber.formats.drive.recording import Recorded
 from camber.replay.drive_inputs import DriveInputs, DriveTick
+from camber.replay.local_bus import LocalBus
 from camber.replay.run_recorder import RunRecorder
-from camber.replay.service_settings import service_settings
+from camber.replay.service_settings import service_settings, validated_settings
 from camber.replay.sweep_files import SweepReader
 from camber.replay.work_schedule import WorkSchedule
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.clock import ReplayClock
 from camber.runtime.inbox import Inbox
 from camber.runtime.service import Service
-from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, CHANNELS, VEHICLE_SERVICES, inputs_of
 from camber.schemas.codec import Received
-from camber.schemas.drive import ManifestError
 from camber.validation.evaluation import CHANNELS as EVALUATED
 
 RESTART_S = 2.0
@@ -192,8 +188,8 @@ class _Vehicle:
 
     def _start(self, name: str) -> None:
         kind: type[Service[Any]] = importlib.import_module(f"camber.{name}.service").SERVICE
-        settings = _validated(name, kind.SETTINGS, self._settings[name])
-        service = kind(settings, cast(Bus, _ServiceBus(self, name)))
+        settings = validated_settings(name, kind.SETTINGS, self._settings[name])
+        service = kind(settings, cast(Bus, LocalBus(self, name)))
         handlers = service.handlers()
         self._running[name] = _RunningService(
             service=service,
@@ -226,48 +222,3 @@ class _Vehicle:
             if message is not None:
                 running.handlers[channel](message)
         running.service.advance(time_ns)
-
-
-def _validated(service: str, kind: type[ServiceSettings], table: Mapping[str, Any]) -> ServiceSettings:
-    """Return a service's settings, from the drive alone: the user's environment must not change a replay."""
-    environment = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("CAMBER_")}
-    try:
-        return kind(**table)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        setting = ".".join(str(part) for part in first["loc"])
-        raise ManifestError(
-            f"{service}: {setting}: {first['msg']} (got {str(first['input'])[:60]!r})"
-        ) from None
-    finally:
-        os.environ.update(environment)
-
-
-class _ServiceBus:
-    """What a service uses of `runtime.bus.Bus`, within one process."""
-
-    def __init__(self, vehicle: _Vehicle, service: str) -> None:
-        self.service = service
-        self.counters: Counter[str] = Counter()
-        self.now_ns = vehicle.clock.now_ns
-        self.ask = vehicle.ask
-        self.is_alive = vehicle.is_running
-        self._vehicle = vehicle
-
-    def publish(self, name: str, message: Message) -> None:
-        self._vehicle.publish(self.service, name, message)
-
-    def has_subscriber(self, name: str) -> bool:
-        return self._vehicle.is_kept(name)
-
-    def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
-        raise QueryFailed("absent", name)  # nobody takes uploads
-
-    def issue(self, code: str, text: str) -> None:
-        self._vehicle.report(self.service, self.now_ns(), code, text)
-
-    def count(self, name: str, n: int = 1) -> None:
-        self.counters[name] += n
-
-    def wake(self) -> None:
-        """Do nothing: no service waits."""

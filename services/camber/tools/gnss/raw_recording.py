@@ -7,6 +7,7 @@ observations too.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation
 from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.local_frame import LocalFrame
-from camber.schemas.drive import RawObservations
 from camber.tools.gnss.recording_file import RecordingFile
 
 _RECEIVER = -1
@@ -45,25 +45,31 @@ class RawRecording:
     notes: tuple[str, ...]
 
 
-def load_raw(observations: RawObservations) -> RawRecording:
-    """Reads all files of a drive's table of raw observations.
+def load_raw(
+    rover_obs: Path,
+    base_obs: Path,
+    ephemerides: Sequence[Path],
+    *,
+    base_ecef_m: tuple[float, float, float] | None = None,
+) -> RawRecording:
+    """Reads the files of rover and base and those of ephemerides.
 
-    The base is where the table says, else where its messages 1005 or 1006 do, else where its RINEX header does. The
+    The base is at `base_ecef_m`, else where its messages 1005 or 1006 do, else where its RINEX header does. The
     week of RTCM, which does not say it, is that of the drive's other files. Raises FormatError for a file that cannot
     be read or lacks what it is for, OSError where one cannot be opened.
     """
     files, near_ns = list[_File](), None
-    for path in observations.ephemerides:
+    for path in ephemerides:
         files.append(_read(path, near_ns))
         near_ns = near_ns or files[-1].first_ns
-    rover = _read(observations.rover_obs, near_ns)
-    base = _read(observations.base_obs, rover.first_ns or near_ns)
+    rover = _read(rover_obs, near_ns)
+    base = _read(base_obs, rover.first_ns or near_ns)
     files += [rover, base]
     notes = [note for file in files for note in file.notes()]
     # One port may carry the receiver's own observations and the corrections that go into it.
     rover_epochs = _observed(rover, receiver_first=True, notes=notes)
     base_epochs = _observed(base, receiver_first=False, notes=notes)
-    position, position_from = _base_position(observations.base_ecef_m, base, notes)
+    position, position_from = _base_position(base_ecef_m, base, notes)
     return RawRecording(
         rover=rover_epochs,
         base=base_epochs,
@@ -157,7 +163,7 @@ def _base_position(
 ) -> tuple[Floats | None, str]:
     """Return the base's antenna reference point and the source of it."""
     if given is not None:
-        return np.array(given), "the manifest"
+        return np.array(given), "the caller"
     if base.stations:
         (station, position), _ = base.stations.most_common(1)[0]
         others = [other for _, other in base.stations if other != position]

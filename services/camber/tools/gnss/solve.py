@@ -1,4 +1,8 @@
-"""`camber gnss solve`: RTK positions from a drive's raw observations, as an RTKLIB solution file and a plot."""
+"""`camber gnss solve`: RTK positions from raw observations, as an RTKLIB solution file and a plot.
+
+What to solve is a drive's manifest with a table observations, or files: those of rover and base and at least one with
+broadcast ephemerides, in this order.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ from camber.formats.drive.truth_csv import WRONG_M, read_truth
 from camber.formats.observations import Floats, ObservationEpoch
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.geodesy.ellipsoid import geodetic_from_ecef
+from camber.geodesy.ellipsoid import geodetic_from_ecef, geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.position.engine_settings import EngineSettings
@@ -27,44 +31,82 @@ from camber.tools.gnss.recording_summary import time_text
 from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
-from camber.tools.options.parsers import add_drive, add_with_default, tool_parser
+from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.reference_trajectory import offset_of, truth_of
 
 _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
+_HIGHEST_M = 20_000.0
+"""Chosen: no base station is so high."""
 _SAME_TIME_NS = NS_PER_SECOND // 50
 """Chosen: receiver clocks differ by less; epochs of rover and base within this are of one time."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Solve one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
-    args = _parser().parse_args(argv)
-    return report_failures(
-        _PROG, args.out, lambda: solve(load_manifest(args.drive, args.set), _options(args), args.out)
-    )
+    parser = _parser()
+    args = parser.parse_args(argv)
+    options = _options(args)
+    if len(args.inputs) == 2 or (len(args.inputs) > 2 and args.set):
+        parser.error("expected a manifest, which --set overrides, or files of rover, base and ephemerides")
+
+    def work() -> str:
+        if len(args.inputs) == 1:
+            return solve(load_manifest(args.inputs[0], args.set), options, args.out)
+        return solve_files(args.inputs, options, args.out, base_ecef_m=args.base_ecef_m)
+
+    return report_failures(_PROG, args.out, work)
 
 
 def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
-    """Write `engine.pos` and `engine.svg` into a folder; returns a summary.
+    """Write `engine.pos` and `engine.svg` of a drive into a folder; returns a summary.
 
     Raises ManifestError where the drive has no raw observations or none in its time, FormatError, OSError.
     """
     require_matplotlib()
-    if manifest.observations is None:
+    raw = manifest.observations
+    if raw is None:
         raise ManifestError(f"{manifest.name}: no table observations, expected raw observations and a base")
-    recording = load_raw(manifest.observations)
+    recording = load_raw(raw.rover_obs, raw.base_obs, raw.ephemerides, base_ecef_m=raw.base_ecef_m)
     rover = _within(recording.rover, manifest)
     if not rover:
         raise ManifestError(f"{manifest.name}: no epoch of the rover from start_s to end_s, expected some")
     solved = run_engine(recording, rover, options)
-    places = _places(solved)
-    errors_m = _errors_m(manifest, solved, places)
+    errors_m = _errors_m(manifest, solved)
+    return _written(manifest.name, recording, solved, options, errors_m=errors_m, out=out)
+
+
+def solve_files(
+    files: Sequence[Path],
+    options: EngineSettings,
+    out: Path,
+    *,
+    base_ecef_m: tuple[float, float, float] | None = None,
+) -> str:
+    """The same of files: rover, base, then ephemerides. Raises FormatError, OSError."""
+    require_matplotlib()
+    rover, base, *ephemerides = files
+    recording = load_raw(rover, base, ephemerides, base_ecef_m=base_ecef_m)
+    solved = run_engine(recording, recording.rover, options)
+    return _written(rover.name, recording, solved, options, errors_m=None, out=out)
+
+
+def _written(
+    name: str,
+    recording: RawRecording,
+    solved: SolvedDrive,
+    options: EngineSettings,
+    *,
+    errors_m: Floats | None,
+    out: Path,
+) -> str:
+    places = geodetic_places(solved)
     out.mkdir(parents=True, exist_ok=True)
     (out / "engine.pos").write_bytes(_pos_file(solved, places))
-    figure = solution_figure(manifest.name, solved, places, options.least_ratio)
+    figure = solution_figure(name, solved, places, options.least_ratio)
     (out / "engine.svg").write_text(svg_text(figure), "utf-8")
-    summary = _summary(manifest, recording, solved, errors_m=errors_m, out=out)
+    summary = _summary(name, recording, solved, errors_m=errors_m, out=out)
     return "\n".join([summary, *recording.notes])
 
 
@@ -120,7 +162,7 @@ def _within(rover: list[ObservationEpoch], manifest: DriveManifest) -> list[Obse
     return [epoch for epoch in rover if begin_s <= (epoch.time_ns - first_ns) / NS_PER_SECOND <= end_s]
 
 
-def _places(solved: SolvedDrive) -> Floats:
+def geodetic_places(solved: SolvedDrive) -> Floats:
     """Latitude, longitude [rad], ellipsoidal height [m] (n, 3); NaN where there is no position."""
     places = np.full((len(solved.time_ns), 3), np.nan)
     known = solved.quality != "none"
@@ -151,10 +193,11 @@ def _pos_file(solved: SolvedDrive, places: Floats) -> bytes:
     return b"".join(lines)
 
 
-def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> Floats | None:
+def _errors_m(manifest: DriveManifest, solved: SolvedDrive) -> Floats | None:
     """Return 3D errors (n,) against the truth, NaN where it is unknown; None without truth."""
     if manifest.truth is None:
         return None
+    places = geodetic_places(solved)
     truth = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
     error_enu_m = truth.error_enu_m(
         solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_enu_m=offset_of(manifest)
@@ -164,7 +207,7 @@ def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> F
 
 
 def _summary(
-    manifest: DriveManifest,
+    name: str,
     recording: RawRecording,
     solved: SolvedDrive,
     *,
@@ -177,7 +220,7 @@ def _summary(
     reasons = [(reason, count) for reason, count in solved.reasons.most_common() if reason != "resolved"]
     chain = Counter(solved.continuity[solved.quality == "fixed"].tolist())
     parts = [
-        f"{manifest.name}: {n:,} epochs from {time_text(int(solved.time_ns[0]))} GPS time: {shares}.",
+        f"{name}: {n:,} epochs from {time_text(int(solved.time_ns[0]))} GPS time: {shares}.",
         f"Not fixed: {_counted(reasons)}." if reasons else "",
         f"Integers of the fixes: {_counted(chain.most_common())}." if chain else "",
         f"Issues: {_counted(solved.warnings.most_common())}." if solved.warnings else "",
@@ -220,10 +263,38 @@ def _systems(text: str) -> str:
     return letters
 
 
+def _ecef(text: str) -> tuple[float, float, float]:
+    """Raise ArgumentTypeError for what is no place near the earth's surface."""
+    try:
+        x, y, z = map(float, text.split(","))
+        place = (x, y, z)
+        geodetic = geodetic_from_ecef_scalar(*place)
+    except ValueError:
+        geodetic = None
+    if geodetic is None or not abs(geodetic[2]) <= _HIGHEST_M:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected X,Y,Z in metres, a place on the earth")
+    return place
+
+
 def _parser() -> argparse.ArgumentParser:
     default = EngineSettings()
     parser = tool_parser(_PROG, __doc__)
-    add_drive(parser, "manifest with a table observations", out="out/solve")
+    add = parser.add_argument
+    add(
+        "inputs",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="drive.toml, or files: rover base ephemerides ...",
+    )
+    add("--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest")
+    add(
+        "--base-ecef-m",
+        type=_ecef,
+        metavar="X,Y,Z",
+        help="where the base's antenna is, for files; ECEF, metres",
+    )
+    add_with_default(parser, "--out", Path("out/solve"), "output folder", type=Path, metavar="DIR")
     for name, bounds, value, text in (
         ("--ratio", (1.0, 1e3), default.least_ratio, "threshold of the ratio test"),
         ("--elevation-deg", (0.0, 89.0), default.lowest_elevation_deg, "elevation mask in degrees"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Callable
@@ -14,13 +13,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import camber
 from camber import cli
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar
 from camber.gnss.position.engine_settings import EngineSettings
-from camber.schemas.drive import DriveManifest, ManifestError, RawObservations, load_manifest
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate
@@ -48,7 +48,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def raw(drive: Path, *overrides: str) -> RawRecording:
     observations = load_manifest(drive / "drive.toml", list(overrides)).observations
     assert observations is not None
-    return load_raw(observations)
+    files = observations.rover_obs, observations.base_obs, observations.ephemerides
+    return load_raw(*files, base_ecef_m=observations.base_ecef_m)
 
 
 @pytest.fixture
@@ -96,6 +97,48 @@ def test_in_the_open_every_epoch_is_fixed_where_the_antenna_was(drive: Path, sol
     assert all(s.ratio is not None and s.ratio >= 3.0 and s.age_s == 0.0 for s in solutions)
 
 
+def test_files_need_no_manifest(drive: Path, solve: Solve, tmp_path: Path) -> None:
+    solve()
+    expected = (tmp_path / "engine.pos").read_bytes()
+    observations = load_manifest(drive / "drive.toml").observations
+    assert observations is not None
+    files = [observations.rover_obs, observations.base_obs, *observations.ephemerides]
+    out = tmp_path / "of-files"
+    assert gnss_solve.main([*map(str, files), "--out", str(out)]) == 0
+    assert (out / "engine.pos").read_bytes() == expected
+    columns = camber.solve(files[0], files[1], files[2:])
+    solutions = [item for item in read_pos(out / "engine.pos") if isinstance(item, ReceiverSolution)]
+    assert columns["time_ns"].tolist() == [solution.time_ns for solution in solutions]
+    assert columns["latitude_rad"] == pytest.approx([s.latitude_rad for s in solutions], abs=1e-11)
+    assert columns["height_m"] == pytest.approx([s.height_m for s in solutions], abs=1e-4)
+    assert set(columns["quality"]) == {"fixed"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["rover.obs", "base.obs"], "expected a manifest"),
+        (["rover.obs", "base.obs", "nav", "--set", "start_s=1"], "expected a manifest"),
+        (["rover.obs", "base.obs", "nav", "--base-ecef-m", "1,2,3"], "a place on the earth"),
+        (["rover.obs", "base.obs", "nav", "--base-ecef-m", "x"], "a place on the earth"),
+    ],
+)
+def test_files_that_are_not_enough_are_named(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        gnss_solve.main(arguments)
+    assert expected in capsys.readouterr().err
+
+
+def test_a_file_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = str(tmp_path / "rover.obs")
+    assert gnss_solve.main([missing, "base.obs", "nav", "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "rover.obs" in error or "nav" in error
+    assert error.count("\n") == 1
+
+
 def test_streams_of_the_receiver_and_the_base_give_the_same_as_rinex(drive: Path, solve: Solve) -> None:
     (drive / "base.rtcm.gz").write_bytes(gzip.compress((drive / "base.rtcm").read_bytes()))
     output, from_streams = solve(
@@ -139,7 +182,7 @@ def test_the_base_is_where_the_manifest_says_else_its_messages_else_its_header(d
     near = [float(x) + 0.5 for x in header.position_ecef_m]
     recording = raw(drive, STREAMS[1], f"observations.base_ecef_m={near}")
     assert recording.base_ecef_m == pytest.approx(near, abs=1e-6)
-    assert recording.base_position_from == "the manifest"
+    assert recording.base_position_from == "the caller"
 
 
 def test_the_antenna_of_the_header_stands_above_its_marker(drive: Path) -> None:
@@ -359,11 +402,7 @@ def test_single_positions_do_not_set_the_scale_where_there_are_better_ones() -> 
 
 def test_rooftop_is_fixed_throughout(data: Path) -> None:
     folder = data / "rooftop-2024-06-24"
-    observations = RawObservations.model_validate(
-        {"rover_obs": "rover.obs", "base_obs": "base.obs", "ephemerides": ["base.nav"]},
-        context={"folder": folder, "environ": os.environ},
-    )
-    recording = load_raw(observations)
+    recording = load_raw(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"])
     assert "header" in recording.base_position_from
     solved = run_engine(recording, recording.rover, EngineSettings())
     assert (solved.quality == "fixed").all()
