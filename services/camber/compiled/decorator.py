@@ -1,16 +1,26 @@
-"""`compiled`: numba's `njit` with the settings of this project, typed: a compiled function keeps its signature."""
+"""`compiled`: numba's `njit` with the settings of this project, typed: a compiled function keeps its signature.
+
+Without numba the functions run as they are, some hundred times slower: enough for a few points of the map, so that the
+judge and its short demo need no compiler. What would take minutes so calls `require_numba` first.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
+from importlib.util import find_spec
 from typing import Any, TypeVar, cast
 
-import numba
-from numba.core.dispatcher import Dispatcher
-
-from camber.compiled.disk_cache import MachineCodeCache
+import numpy as np
 
 F = TypeVar("F", bound=Callable[..., object])
+_HAS_NUMBA = find_spec("numba") is not None
+
+
+def require_numba() -> None:
+    """Raise ModuleNotFoundError where numba is not installed."""
+    if not _HAS_NUMBA:
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
 
 def compiled(function: F) -> F:
@@ -24,8 +34,26 @@ def compiled_without_gil(function: F) -> F:
 
 
 def _kept(function: F, *, nogil: bool) -> F:
+    if not _HAS_NUMBA:
+        return cast(F, _interpreted(function))
+    import numba
+    from numba.core.dispatcher import Dispatcher
+
+    from camber.compiled.disk_cache import MachineCodeCache
+
     dispatcher = numba.njit(fastmath=False, error_model="numpy", nogil=nogil)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if isinstance(dispatcher, Dispatcher):
         cast(Any, dispatcher)._cache = MachineCodeCache(dispatcher)
     return cast(F, dispatcher)
+
+
+def _interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as it is; like machine code, its arithmetic of integers and floats does not warn."""
+
+    @wraps(function)
+    def quietly(*args: Any, **named: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*args, **named)
+
+    return quietly

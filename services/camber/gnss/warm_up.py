@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from camber.compiled.decorator import require_numba
 from camber.formats.observations import (
     CARRIER_OF_BAND_HZ,
     SPEED_OF_LIGHT_M_S,
@@ -61,6 +62,7 @@ def warm_up() -> Solution:
 
 def compile_readers() -> None:
     """Compile the search for frames and the decoder of a base's observations, which any live stream needs."""
+    require_numba()
     decoder = MixedDecoder("warm up", _TIME_NS)
     decoder.feed(b"\xb5\x62")
     ephemerides = EphemerisStore()

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from camber.compiled.decorator import require_numba
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.runtime.clock import SystemClock
 from camber.schemas.drive import load_manifest
@@ -86,8 +87,10 @@ def _folder(out: Path | None) -> Iterator[Path]:
 def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     """Run the simulation, with a progress bar on a terminal; returns the manifest's path, or the folder of a fleet.
 
-    An earlier simulation in the folder is replaced. Raises ScenarioError, and OSError where a file cannot be written.
+    An earlier simulation in the folder is replaced. Raises ScenarioError, OSError where a file cannot be written, and
+    ModuleNotFoundError without numba.
     """
+    require_numba()
     _check_room(out)
     began = time.monotonic()
     hidden = quiet or not sys.stderr.isatty()

@@ -123,7 +123,7 @@ def _part(entry: str, fields: Mapping[str, BitField]) -> tuple[str, int, int]:
 
 def crc24q(data: bytes) -> int:
     """Return the CRC-24Q."""
-    return _crc24q(np.frombuffer(data, np.uint8), _crc_table())
+    return int(_crc24q(np.frombuffer(data, np.uint8), _crc_table()))
 
 
 @compiled

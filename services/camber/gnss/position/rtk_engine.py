@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from camber.compiled.decorator import require_numba
 from camber.formats.observations import Ephemeris, Floats, Integers, ObservationEpoch
 from camber.gnss.ambiguity.ambiguity_resolution import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.ambiguity.continuity import Continuity, ContinuityTracker, fixed_integers
@@ -98,6 +99,7 @@ class Engine:
     """
 
     def __init__(self, settings: EngineSettings, base_ecef_m: Floats | None = None) -> None:
+        require_numba()
         self.ephemerides = EphemerisStore(settings.ephemerides_of_satellite)
         self.ionosphere = NO_IONOSPHERE
         """Coefficients (8,) of the broadcast ionosphere as in `klobuchar_m`, for positions of one receiver."""

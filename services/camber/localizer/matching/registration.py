@@ -3,7 +3,8 @@
 Point-to-point is the ICP of JP2016-109650A, paragraphs 0053 to 0059: nearest neighbours, correspondences farther
 apart than d_max dropped, least squares, until convergence or the limit of iterations. It, plane-to-plane
 (generalised ICP) and VGICP move all six degrees of freedom. The fourth method, point-to-plane, is `icp`, which
-moves three. small_gicp computes in one thread, so that the same input gives the same bits.
+moves three. small_gicp computes in one thread, so that the same input gives the same bits. It is imported
+where it is used: a localizer without sweeps does without it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
-import small_gicp
 
 from camber.geodesy.se3 import transform_points
 from camber.localizer.arrays import Floats, Integers
@@ -54,6 +54,8 @@ class LayerTarget:
     @classmethod
     def of(cls, points_m: Floats) -> LayerTarget:
         """Build the target from points (n, 3) [m], thinned to an even grid (0.2 m)."""
+        import small_gicp
+
         points_m = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
         n = len(points_m)
         if n < NEIGHBOURS:
@@ -84,6 +86,8 @@ class LayerTarget:
     @cached_property
     def cloud(self) -> Any:
         """small_gicp.PointCloud with covariances."""
+        import small_gicp
+
         cloud = small_gicp.PointCloud(self.points_m)
         small_gicp.estimate_covariances(cloud, self.tree, NEIGHBOURS, 1)
         return cloud
@@ -91,6 +95,8 @@ class LayerTarget:
     @cached_property
     def voxels(self) -> Any:
         """small_gicp.GaussianVoxelMap."""
+        import small_gicp
+
         voxels = small_gicp.GaussianVoxelMap(VOXEL_M)
         voxels.insert(self.cloud)
         return voxels
@@ -133,6 +139,8 @@ def register(
     max_iterations: int = 30,
 ) -> LayerFit:
     """Register a cloud (n, 3) [m] to a layer of the map, from `guess`, map_from_local (4, 4)."""
+    import small_gicp
+
     source_m = np.ascontiguousarray(source_m, dtype=np.float64)
     nothing = np.full(len(source_m), np.inf)
     if target.empty or len(source_m) < NEIGHBOURS:
