@@ -14,6 +14,7 @@ import griffe
 
 SOURCE_ROOTS = (Path(__file__).parents[4] / "schemas", Path(__file__).parents[3])
 PACKAGES = (
+    "api",
     "schemas",
     "geodesy",
     "formats",
@@ -26,15 +27,17 @@ PACKAGES = (
     "map_update",
     "sensors",
 )
-"""Packages of `camber` that hold values and computations: what wires them to the bus is no interface for a program."""
+"""The library, and packages of `camber` that hold values and computations: what wires them to
+the bus is no interface for a program."""
 WIRING = frozenset({"service", "settings", "__main__", "warm_up"})
 """Modules of a service that are not pure (CONTRIBUTING, "Layout")."""
 _WIDTH = 88  # chosen: characters of a signature that a page shows beside the navigation without scrolling
 _INDEX = """\
 # Python API
 
-Packages that a program may import. They are pure: values and time in, results out. Inputs and outputs of services are
-[messages](../data-flow.md); frames, heights, times and units are those of [conventions](../conventions.md).
+`camber.api` holds what `import camber` offers; it is [stable](../library.md). The others may change with any version.
+They are pure: values and time in, results out. Inputs and outputs of services are [messages](../data-flow.md); frames,
+heights, times and units are those of [conventions](../conventions.md).
 
 | package | contents |
 |---|---|
@@ -43,8 +46,9 @@ Packages that a program may import. They are pure: values and time in, results o
 
 def api_pages() -> dict[str, str]:
     """Return the text of each page by its path below the pages of the site, `api/index.md` first."""
-    root = griffe.GriffeLoader(search_paths=list(SOURCE_ROOTS)).load("camber")
-    packages = [package for name in PACKAGES for package in _packages(root[name])]
+    roots = [griffe.GriffeLoader(search_paths=[root]).load("camber") for root in SOURCE_ROOTS]
+    members = {m.name: m for root in roots if isinstance(root, griffe.Object) for m in _members(root)}
+    packages = [package for name in PACKAGES for package in _packages(members[name])]
     rows = [f"| [`{package.path}`]({_file_name(package)}) | {_first_line(package)} |" for package in packages]
     pages = {"api/index.md": _INDEX + "\n".join(rows) + "\n"}
     return pages | {f"api/{_file_name(package)}": _page(package) for package in packages}
