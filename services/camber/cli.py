@@ -80,6 +80,7 @@ TOOL_GROUPS = {
 TOOLS = {name: command for group in TOOL_GROUPS.values() for name, command in group.items()}
 GNSS_COMMANDS = {
     "inspect": Command("camber.tools.gnss.inspect", "show the contents of a recording of observations"),
+    "setup": Command("camber.tools.gnss.setup", "configure a u-blox or Septentrio receiver"),
     "solve": Command("camber.tools.gnss.solve", "solve positions from raw observations, with plots"),
 }
 """Tools that share their first word with the service `gnss`."""

@@ -205,6 +205,9 @@ class GnssService(Service[GnssSettings]):
         self._feed(received.stream, received.protocol, received.stream, received.payload.tobytes())
 
     def _feed(self, stream: Stream, protocol: StreamProtocol, name: str, data: bytes) -> None:
+        if stream == "base" and self.settings.forward_corrections:
+            self._forward(data)
+            return
         unused = ("pos", "nmea") if self._solves else ("rinex", "rtcm")
         if protocol in unused or not (self._solves or stream == "rover"):
             self._leave_out(f"{stream}.{protocol}")
@@ -212,6 +215,16 @@ class GnssService(Service[GnssSettings]):
         reader = self._reader(stream, protocol, name)
         self._dispatch(reader.feed(data))
         self._report_damage(reader, protocol)
+
+    def _forward(self, data: bytes) -> None:
+        """Send the base's bytes to the receiver, as they are."""
+        receiver = next(port for port in self._ports if port.stream == "rover")
+        if receiver.port.send(data):
+            self.bus.count("corrections.sent_bytes", len(data))
+        else:
+            self.bus.issue(
+                "corrections_not_sent", f"{receiver.name}: it has not taken all of {len(data)} bytes"
+            )
 
     def _reader(self, stream: Stream, protocol: StreamProtocol, name: str) -> StreamReader:
         """Reader of a stream; a new one where this machine's clock was set: weeks were resolved wrongly."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 
 from camber.gnss.observations.receiver_streams import StreamProtocol
 from camber.gnss.position.engine_settings import EngineSettings
@@ -34,6 +34,11 @@ class GnssSettings(ServiceSettings):
         None, description="the base station, as source; unset: from the bus, or in the receiver's stream"
     )
     base_protocol: StreamProtocol = Field("rtcm", description="protocol of base_source")
+    forward_corrections: bool = Field(
+        False,
+        description="send the base station's bytes to the receiver, which solves its positions itself; "
+        "source is then serial: or tcp:",
+    )
     base_ecef_m: tuple[Coordinate, Coordinate, Coordinate] | None = Field(
         None, description="ECEF coordinate of the base's antenna; unset: from its stream"
     )
@@ -69,3 +74,13 @@ class GnssSettings(ServiceSettings):
         if value is not None and value != "bus":
             parse_source(value)
         return value
+
+    @model_validator(mode="after")
+    def _can_forward(self) -> Self:
+        if not self.forward_corrections:
+            return self
+        if self.positions != "receiver" or not self.source.startswith(("serial:", "tcp:")):
+            raise ValueError("forward_corrections: expected positions = receiver and source serial: or tcp:")
+        if self.base_source is None:
+            raise ValueError("forward_corrections: expected base_source, whose bytes are sent")
+        return self

@@ -38,6 +38,9 @@ class ByteSource(Protocol):
     def read(self) -> bytes:
         """Return some bytes; empty where nothing has arrived for a while. Raises OSError when the peer has gone."""
 
+    def send(self, data: bytes) -> int:
+        """Send without waiting; return how many bytes were taken: 0 where nobody takes any."""
+
     def close(self) -> None:
         """Close it."""
 
@@ -58,6 +61,9 @@ class _FileSource:
             self._idle.wait(0.05)
         return data
 
+    def send(self, data: bytes) -> int:
+        return 0
+
     def close(self) -> None:
         self._file.close()
 
@@ -69,11 +75,15 @@ class _SerialSource:
     silence_reason = ""
 
     def __init__(self, device: str, baud_rate: int) -> None:
-        self._port = serial.Serial(device, baud_rate, timeout=_READ_S, exclusive=True)
+        # Without a timeout for writing: what the port's buffer does not take is left over.
+        self._port = serial.Serial(device, baud_rate, timeout=_READ_S, write_timeout=0, exclusive=True)
 
     def read(self) -> bytes:
         data: bytes = self._port.read(max(1, min(self._port.in_waiting, CHUNK_BYTES)))
         return data
+
+    def send(self, data: bytes) -> int:
+        return int(self._port.write(data) or 0)
 
     def close(self) -> None:
         self._port.close()
@@ -97,6 +107,7 @@ class ByteStream:
         self.last_failure: str | None = None
         self.failures = 0
         self.lost_bytes = 0
+        self._source: ByteSource | None = None
         self._open = open_source
         self._on_data = on_data
         self._silence_s = silence_s
@@ -124,6 +135,14 @@ class ByteStream:
             self._bytes.clear()
         return data
 
+    def send(self, data: bytes) -> bool:
+        """Send to the other side without waiting; False where it has not taken all of it."""
+        source = self._source
+        try:
+            return source is not None and source.send(data) == len(data)
+        except (OSError, serial.SerialException):
+            return False  # the reading thread meets the same and reports it
+
     def close(self) -> None:
         """Stop reading."""
         self._stop.set()
@@ -136,10 +155,11 @@ class ByteStream:
             self._flowed_s = 0.0
             try:
                 source = self._open(self._stop)
-                self.problem = None
+                self.problem, self._source = None, source
                 try:
                     self._pump(source)
                 finally:
+                    self._source = None
                     source.close()
             except Exception as error:  # ports raise many types; none may end the thread
                 if self._stop.is_set():

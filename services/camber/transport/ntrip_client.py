@@ -133,6 +133,10 @@ class NtripSource:
         self._send_position()
         return self._body.feed(self._connection.read())
 
+    def send(self, data: bytes) -> int:
+        """A caster takes nothing but positions."""
+        return 0
+
     def close(self) -> None:
         """Close it."""
         self._connection.close()

@@ -6,9 +6,10 @@ import json
 import math
 import os
 import pty
+import socket
 import time
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -385,3 +386,58 @@ def test_an_engine_leaves_out_the_satellites_of_the_receiver() -> None:
     receive(service, data, "mixed")
     service.advance(bus.time_ns)
     assert views_of(bus) == []
+
+
+# --- corrections for a receiver that solves itself -------------------------------------------------------------------
+
+
+@pytest.fixture
+def receiver() -> Iterator[socket.socket]:
+    """A receiver's port on the network."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(PATIENCE_S)
+        yield listening
+
+
+def test_the_bases_bytes_go_to_the_receiver_as_they_are(receiver: socket.socket) -> None:
+    port = receiver.getsockname()[1]
+    service, bus = make(source=f"tcp:127.0.0.1:{port}", base_source="bus", forward_corrections=True)
+    frames = bytes(range(256)) * 3
+    message = ReceiverBytes(
+        time_ns=START_NS, protocol="rtcm", stream="base", payload=np.frombuffer(frames, np.uint8)
+    )
+    with receiver.accept()[0] as peer:
+        peer.settimeout(PATIENCE_S)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not bus.counters["corrections.sent_bytes"] and time.monotonic() < deadline_s:
+            service.handlers()["receiver_bytes"](message)  # until the connection is open on this side too
+            time.sleep(0.01)
+        assert peer.recv(len(frames)) == frames
+        peer.sendall(pos(0))
+    assert "stream_not_used" not in bus.named()
+    service.close()
+
+
+def test_corrections_that_a_receiver_does_not_take_are_an_issue(receiver: socket.socket) -> None:
+    port = receiver.getsockname()[1]
+    receiver.close()
+    service, bus = make(source=f"tcp:127.0.0.1:{port}", base_source="bus", forward_corrections=True)
+    payload = np.zeros(10, np.uint8)
+    service.handlers()["receiver_bytes"](
+        ReceiverBytes(time_ns=START_NS, protocol="rtcm", stream="base", payload=payload)
+    )
+    assert bus.named()["corrections_not_sent"].endswith("it has not taken all of 10 bytes")
+    service.close()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"positions": "engine", "source": "tcp:h:1", "base_source": "bus"},
+        {"source": "bus", "base_source": "bus"},
+        {"source": "tcp:h:1"},
+    ],
+)
+def test_corrections_need_a_receiver_that_solves_itself_at_a_port(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="forward_corrections: expected"):
+        GnssSettings(forward_corrections=True, **wrong)

@@ -120,6 +120,41 @@ def test_a_serial_port_is_read_byte_for_byte(reader: Reader) -> None:
         assert stream.problem
 
 
+def test_a_serial_port_takes_what_is_sent_and_what_it_cannot_take_is_noticed(reader: Reader) -> None:
+    ours, device = raw_terminal()
+    with closing(open_stream(f"serial:{device}:115200", on_data=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.problem is None)
+        sent = bytes(range(256))
+        assert stream.send(sent)
+        received = b""
+        while len(received) < len(sent):
+            received += os.read(ours, 4096)
+        assert received == sent
+        assert not stream.send(bytes(10_000_000)), "nobody reads it"
+        os.close(ours)
+        wait_for(lambda: stream.failures > 0)
+        assert not stream.send(b"x")
+
+
+def test_a_tcp_server_takes_what_is_sent_and_a_file_does_not(
+    server: socket.socket, reader: Reader, tmp_path: Path
+) -> None:
+    with (
+        closing(
+            open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", on_data=reader.arrived.set)
+        ) as stream,
+        server.accept()[0] as peer,
+    ):
+        wait_for(lambda: stream.problem is None)
+        assert stream.send(b"corrections")
+        peer.settimeout(PATIENCE_S)
+        assert peer.recv(100) == b"corrections"
+    (tmp_path / "rover.pos").touch()
+    with closing(open_stream(f"file:{tmp_path / 'rover.pos'}", on_data=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.problem is None)
+        assert not stream.send(b"corrections")
+
+
 def test_any_exception_of_a_port_is_retried(reader: Reader) -> None:
     faults = iter([ValueError("no such baud rate"), OSError(5, "Input/output error"), RuntimeError()])
     port = SimpleNamespace(lossless=False, silence_reason="", read=lambda: b"x", close=lambda: None)
