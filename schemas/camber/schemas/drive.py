@@ -1,8 +1,8 @@
 """The drive manifest, `drive.toml`: one description of a recorded drive in its native files.
 
-Every path is relative to the manifest, or begins with `${CAMBER_DATA}`, the folder of recordings. What a recording
-has not got may be made from its truth: such an input is a *surrogate*, is named in `surrogates.inputs`, and is
-named again in the summary of every figure that rests on it. `docs/drive.md` explains the file for people.
+A path is absolute, relative to the manifest, or begins with `${CAMBER_DATA}`, the folder of recordings. What a
+recording has not got may be made from its truth: such an input is a *surrogate*, is named in `surrogates.inputs`, and
+is named again in the summary of every figure that rests on it. `docs/drive.md` explains the file for people.
 """
 
 from __future__ import annotations
@@ -45,10 +45,8 @@ def _native(value: Any, info: ValidationInfo) -> Path:
                 "path", "CAMBER_DATA is not set, expected the folder of recordings in it"
             )
         return Path(data) / rest
-    if value.startswith("/") or "$" in value:
-        raise PydanticCustomError(
-            "path", "expected a path relative to the manifest or one with ${CAMBER_DATA} in front"
-        )
+    if "$" in value:
+        raise PydanticCustomError("path", "expected a path without $, or ${CAMBER_DATA} as its first part")
     return Path(context["folder"]) / value
 
 
@@ -333,8 +331,8 @@ class DriveManifest(Model):
     map: MapRelease | None = Field(None, description="table with the map release")
     truth: Truth | None = Field(None, description="table with the truth")
     lever_arms: LeverArms = Field(LeverArms(), description="table of places on the vehicle")
-    antenna_height: AntennaHeightMethod = Field(
-        description="table that says how the antenna's height is known"
+    antenna_height: AntennaHeightMethod | None = Field(
+        None, description="table that says how the antenna's height is known; without it no fix is confirmed"
     )
     initial_pose: InitialPose | None = Field(None, description="table with a given pose at the start")
     kills: Annotated[tuple[Kill, ...], Field(strict=False)] = Field(
@@ -352,13 +350,15 @@ class DriveManifest(Model):
 
     def _problems(self) -> list[str]:
         inputs = frozenset(self.surrogates.inputs)
-        method = self.antenna_height.way
-        roads_without_height = (
-            self.surrogates.antenna_height_m is None and self.antenna_height.height_m is None
+        height = self.antenna_height
+        method = "" if height is None else height.way
+        roads_without_height = self.surrogates.antenna_height_m is None and (
+            height is None or height.height_m is None
         )
+        measured = (self.receiver, self.observations, self.motion, self.suspension, self.ranging, self.sweeps)
         tests = {
-            "receiver: expected a table receiver, a table observations or both": (
-                self.receiver is None and self.observations is None
+            "receiver: expected one of the tables receiver, observations, motion, suspension, ranging, sweeps": (
+                all(table is None for table in measured) and not inputs & MOTION_SURROGATES
             ),
             f"positions is {self.positions!r}, expected a table with them": (
                 (self.positions == "receiver" and self.receiver is None)
@@ -405,7 +405,8 @@ class DriveManifest(Model):
     @property
     def judged_positions(self) -> Literal["receiver", "engine"]:
         """Whose positions are judged."""
-        return self.positions or ("engine" if self.receiver is None else "receiver")
+        only_raw = self.receiver is None and self.observations is not None
+        return self.positions or ("engine" if only_raw else "receiver")
 
     @property
     def overrides(self) -> tuple[str, ...]:

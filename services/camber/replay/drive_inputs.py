@@ -195,7 +195,9 @@ def _by_time(items: Iterable[tuple[int, Any]]) -> dict[int, list[Any]]:
 
 
 def _period(manifest: DriveManifest, spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """From when to when; `spans` are those of the inputs."""
+    """From when to when; `spans` are those of the inputs. Raises ManifestError where all of them are empty."""
+    if not spans:
+        raise ManifestError(f"{manifest.name}: no input has a sample, expected at least one")
     begin_ns, end_ns = min(begin for begin, _ in spans), max(end for _, end in spans)
     first_ns = begin_ns if manifest.start_s is None else begin_ns + round(manifest.start_s * 1e9)
     last_ns = end_ns if manifest.end_s is None else begin_ns + round(manifest.end_s * 1e9)
@@ -213,7 +215,8 @@ def _map_release(manifest: DriveManifest, truth: TruthTable | None, work_folder:
             f"{manifest.name}: surrogates.inputs has {min(inputs)} alone, expected links, road_surfaces"
         )
     height_m = manifest.surrogates.antenna_height_m
-    height_m = manifest.antenna_height.height_m if height_m is None else height_m
+    if height_m is None and manifest.antenna_height is not None:
+        height_m = manifest.antenna_height.height_m
     assert height_m is not None  # the manifest was checked for it
     how = _how_made(manifest.surrogates)
     names = {"region": manifest.name, "datum": manifest.datum, "surrogate": how}

@@ -65,6 +65,8 @@ def service_settings(inputs: DriveInputs, folder: Path) -> ServiceTables:
 def antenna_height_settings(manifest: DriveManifest) -> dict[str, Any]:
     """Return all by which the antenna's height can be determined on this drive, so that the methods are compared."""
     height, lever_arms = manifest.antenna_height, manifest.lever_arms.with_given_height
+    if height is None:
+        return {}
     equipped = {
         "antenna": True,
         "suspension": manifest.suspension is not None,

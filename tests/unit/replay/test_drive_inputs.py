@@ -22,7 +22,7 @@ from camber.replay.short_drive import START_NS, write_short_drive
 from camber.replay.surrogates import true_motion
 from camber.replay.sweep_files import SweepReader
 from camber.road_map.release import read_release
-from camber.schemas.drive import DriveManifest, ReceiverFile, Surrogates, load_manifest
+from camber.schemas.drive import DriveManifest, ManifestError, ReceiverFile, Surrogates, load_manifest
 from camber.schemas.gnss import ReceiverBytes
 from support.gnss_files import observation_text, read_pos, recording
 from support.nearest_surface import nearest_heights
@@ -60,6 +60,14 @@ def test_all_bytes_of_the_receiver_arrive_in_the_order_of_the_file(drive: Path, 
     inputs = prepared(drive, tmp_path)
     assert payload(inputs) == (drive.parent / "receiver.pos").read_bytes()
     assert inputs.receiver[0].message.payload.tobytes().startswith(b"% (lat/lon/height=WGS84/ellipsoidal")
+
+
+def test_a_drive_whose_only_folder_is_empty_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "sweeps").mkdir()
+    manifest = tmp_path / "drive.toml"
+    manifest.write_text('name = "try"\n[sweeps]\nfolder = "sweeps"\n')
+    with pytest.raises(ManifestError, match=r"^try: no input has a sample, expected at least one$"):
+        prepared(manifest, tmp_path)
 
 
 def test_ticks_hold_everything_once_and_in_order(drive: Path, tmp_path: Path) -> None:

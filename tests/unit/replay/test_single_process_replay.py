@@ -43,5 +43,27 @@ def test_settings_of_a_service_are_added_to_those_of_the_drive(drive: Path) -> N
     assert not verdicts & {"confirmed", "confirmed_after_verification"}
 
 
+def without(drive: Path, *tables: str) -> Path:
+    """The manifest of a drive without some of its tables."""
+    kept = [table for table in drive.read_text().split("\n[") if not table.startswith(tables)]
+    path = drive.with_name(f"without-{'-'.join(tables)}.toml")
+    path.write_text("\n[".join(kept))
+    return path
+
+
+def test_a_drive_without_antenna_height_confirms_nothing_and_reports_why(drive: Path) -> None:
+    inputs = inputs_of(without(drive, "antenna_height]"))
+    driven = replay_in_one_process(inputs, drive.parent)
+    assert {item.message.verdict for item in driven.recorded["verdict"]} <= {"unknown", "erroneous"}
+    assert "height_unknown" in {issue.code for issue in driven.issues}
+
+
+def test_a_drive_without_receiver_is_localized(drive: Path) -> None:
+    inputs = inputs_of(without(drive, "antenna_height]", "receiver]"))
+    driven = replay_in_one_process(inputs, drive.parent)
+    assert driven.recorded["fix"] == []
+    assert {item.message.mode for item in driven.recorded["pose"]} == {"dead_reckoning"}
+
+
 def test_only_the_channels_asked_for_are_kept(drive: Path) -> None:
     assert set(replay_in_one_process(inputs_of(drive), drive.parent, channels=("pose",)).recorded) == {"pose"}

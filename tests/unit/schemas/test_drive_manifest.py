@@ -51,10 +51,16 @@ def refusal(folder: Path, text: str = TEXT, overrides: list[str] | None = None) 
     return message
 
 
-def test_paths_are_relative_to_the_manifest_or_begin_with_the_folder_of_recordings(folder: Path) -> None:
+def test_paths_are_relative_to_the_manifest_absolute_or_begin_with_the_folder_of_recordings(
+    folder: Path,
+) -> None:
     manifest = load(folder)
     assert manifest.receiver.file == folder / "rover.pos"
     assert manifest.truth.file == folder / "data" / "truth.csv"
+    elsewhere = folder / "data" / "rover.pos"
+    elsewhere.write_text("%\n")
+    assert load(folder, overrides=[f"receiver.file={elsewhere}"]).receiver.file == elsewhere
+    assert "there is no such file" in refusal(folder, overrides=[f"receiver.file={elsewhere}x"])
 
 
 def test_defaults_are_the_least_errors_allowed_or_larger(folder: Path) -> None:
@@ -108,7 +114,7 @@ def test_summary_names_what_was_made_and_not_measured(folder: Path) -> None:
         (["surrogates.inputs=['odometer']"], "surrogates.inputs.0 is 'odometer'"),
         (["surrogates.yaw_rate_noise_rad_s=5.7"], "less than or equal to 3.14"),
         (["receiver.file=other.pos"], "receiver.file is 'other.pos': there is no such file"),
-        (["receiver.file=/etc/hostname"], "expected a path relative to the manifest"),
+        (["receiver.file=$HOME/rover.pos"], "expected a path without $, or ${CAMBER_DATA}"),
         (["receiver.format=ubx"], "receiver.format is 'ubx': should be 'pos' or 'nmea'"),
         (["antenna_height.way=stroke"], "without suspension_to_antenna_m"),
         (["antenna_height.way=ranging"], "expected lever_arms.antenna with its z_m"),
@@ -141,8 +147,10 @@ def test_a_fault_is_one_line_with_the_field_and_what_was_expected(
 
 
 FAULTS = {
-    "antenna_height is missing": ("[antenna_height]\nheight_m = 1.8\nsigma_m = 0.02", "[lever_arms.lidar]"),
-    "receiver: expected a table receiver, a table observ": ('[receiver]\nformat = "pos"', "[motion]"),
+    "surrogates.antenna_height_m is missing": (
+        "[antenna_height]\nheight_m = 1.8\nsigma_m = 0.02",
+        "[lever_arms.lidar]",
+    ),
     "surrogates.inputs is not empty, expected a table truth": ('[truth]\nformat = "camber"', "[motion]"),
     "antenna_height.sigma_m is '-1.0'": ("sigma_m = 0.02", "sigma_m = -1.0"),
 }
@@ -177,6 +185,19 @@ def test_a_receiver_and_raw_observations_may_be_there_both(folder: Path) -> None
     both = load(folder, TEXT + raw)
     assert both.receiver is not None
     assert both.observations is not None
+
+
+@pytest.mark.parametrize("table", ['[motion]\nfile = "rover.pos"', '[sweeps]\nfolder = "data"'])
+def test_a_drive_needs_no_receiver_and_no_antenna_height(folder: Path, table: str) -> None:
+    manifest = load(folder, f'name = "try"\n{table}\n')
+    assert (manifest.receiver, manifest.observations, manifest.antenna_height) == (None, None, None)
+    # There is nothing that the engine could solve.
+    assert manifest.judged_positions == "receiver"
+
+
+def test_a_drive_without_any_input_is_refused(folder: Path) -> None:
+    expected = "receiver: expected one of the tables receiver, observations, motion"
+    assert expected in refusal(folder, 'name = "try"\n[map]\nrelease = "data"\n')
 
 
 def test_an_unset_folder_of_recordings_is_named(folder: Path) -> None:
