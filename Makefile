@@ -11,7 +11,7 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 OUT := out
 # The extras that images install.
-SHIPPED := engine,localizer,map,fleet,plots,web,foxglove,simulator
+SHIPPED := engine,localizer,map,fleet,plots,web,foxglove,simulator,ros
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -49,7 +49,7 @@ $(MADE):
 	@touch $@
 
 .venv/.development: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,foxglove,simulator,dev,docs]'
+	$(PIP) -e '.[$(SHIPPED),dev,docs]'
 	@touch .venv/.runtime $@
 
 .venv/.mutation: pyproject.toml constraints.txt $(MADE) | .venv/.development

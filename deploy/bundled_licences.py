@@ -71,6 +71,8 @@ BUNDLED = {
 SEPARATE_FILE = (
     "unchanged, in a file of its own that the user may replace with another version; its source is public"
 )
+BUNDLED_FOLDERS = {"apsw/sqlite_extra_binaries": "blessing"}
+"""The same for folders of many small ones: extensions of SQLite, which are in the public domain as SQLite is."""
 CONDITIONS = {
     "GPL-3.0-or-later WITH GCC-exception-3.1": "the runtime library exception permits programs of any licence",
     "LGPL-2.1-only": SEPARATE_FILE,
@@ -98,7 +100,8 @@ def bundled_files(distribution: Distribution) -> list[BundledFile]:
         if not _IMPORTED.search(file.name) and _is_machine_code(Path(str(file.locate()))):
             # auditwheel appends a hash: libz-3a2b1c0d.so.1 is libz
             name = re.sub(r"(-[0-9a-f]{8})+$", "", file.name.partition(".so")[0])
-            files.append(BundledFile(distribution.name, str(file), name, BUNDLED.get(name)))
+            licence = BUNDLED_FOLDERS.get(file.parent.as_posix(), BUNDLED.get(name))
+            files.append(BundledFile(distribution.name, str(file), name, licence))
     return sorted(files)
 
 

@@ -40,6 +40,8 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rinex.writer import StationHeader, navigation_text, observation_lines
+from camber.formats.ros.message_types import message_types
+from camber.formats.ros.point_cloud2 import point_layout, sweep_from_point_cloud2
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import (
     format_ephemeris,
@@ -89,6 +91,7 @@ from support.lanelet_maps import lanelet2_bytes
 from support.messages import build, message_classes
 from support.opendrive_maps import opendrive_bytes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
+from support.ros_bags import MAKERS, point_cloud2_bytes
 from support.small_map import surface, surfaces
 
 START_NS = 1_400_000_000 * 1_000_000_000
@@ -305,6 +308,22 @@ def _read_recorded(data: bytes) -> None:
 
 def _clouds(random: Random) -> list[list[bytes]]:
     return [[cloud_from_sweep(build(Sweep, random, filled=filled))] for filled in (False, True)]
+
+
+def _point_clouds(random: Random) -> list[list[bytes]]:
+    sweep = build(Sweep, random, filled=True)
+    offset_ns = -np.arange(len(sweep.points_m), dtype=np.int32)[::-1] * 1000
+    sweep = sweep.model_copy(update={"time_ns": 1_400_000_000 * 10**9, "offset_ns": offset_ns})
+    return [[point_cloud2_bytes(sweep, maker, big_endian=big)] for maker in MAKERS for big in (False, True)]
+
+
+def _read_point_cloud2(data: bytes) -> None:
+    try:
+        message = message_types().deserialize_cdr(data, "sensor_msgs/msg/PointCloud2")
+    except Exception as error:  # as `camber.formats.ros.bag_reader`
+        raise FormatError("fuzz", "message", "a PointCloud2") from error
+    layout = point_layout(message, "fuzz")
+    sweep_from_point_cloud2(message, layout, "fuzz", "lidar")
 
 
 def _pcd(random: Random) -> list[list[bytes]]:
@@ -574,6 +593,7 @@ DECODERS: tuple[Target, ...] = (
     Target("messages", _messages, read=_read_message, refusal=DecodeError),
     Target("recorded_messages", _recorded, read=_read_recorded, refusal=DecodeError),
     Target("recorded_sweeps", _clouds, read=sweep_from_cloud, refusal=DecodeError),
+    Target("point_cloud2", _point_clouds, read=_read_point_cloud2, refusal=FormatError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
     Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),

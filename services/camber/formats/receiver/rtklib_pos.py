@@ -272,12 +272,12 @@ class _Row:
             raise self.error(f"{names[0]} to {names[-1]}", expected, actual) from None
 
 
-def format_pos_header(*, velocity: bool = False) -> bytes:
+def format_pos_header(*, velocity: bool = False, ambiguities: bool = True) -> bytes:
     """Return the header lines for `format_pos_line`: GPST, decimal degrees, ellipsoidal heights."""
     columns = (
         f"%  {'GPST':<20} {'latitude(deg)':>14} {'longitude(deg)':>14} {'height(m)':>10} {'Q':>3} {'ns':>3} "
         + " ".join(f"{name:>8}" for name in _DEVIATIONS)
-        + f" {'age(s)':>6} {'ratio':>6}"
+        + (f" {'age(s)':>6} {'ratio':>6}" if ambiguities else "")
     )
     if velocity:
         columns += " " + " ".join(f"{name:>10}" for name in _VELOCITIES)
@@ -286,12 +286,12 @@ def format_pos_header(*, velocity: bool = False) -> bytes:
     return f"% (lat/lon/height=WGS84/ellipsoidal,{legend})\n{columns}\n".encode("ascii")
 
 
-def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False) -> bytes:
+def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False, ambiguities: bool = True) -> bytes:
     """Return one line as RTKLIB prints it, with more decimals of the time where they are needed.
 
     The format has no "unknown": an unknown covariance, ratio, age or number of satellites is zero, as RTKLIB prints it
     (an unknown age is then read as zero unless the solution is single). With `velocity`, a solution without one raises
-    ValueError, as do numbers that are not finite.
+    ValueError, as do numbers that are not finite. Without `ambiguities` there are no columns of age and ratio: unknown.
     """
     values = [
         f"{math.degrees(solution.latitude_rad):14.9f}",
@@ -300,9 +300,9 @@ def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False) -> by
         f"{solution.quality:3d}",
         f"{solution.satellites or 0:3d}",
         *_printed_covariance(solution.covariance_enu_m2, 4),
-        f"{solution.age_s or 0.0:6.2f}",
-        f"{solution.ratio or 0.0:6.1f}",
     ]
+    if ambiguities:
+        values += [f"{solution.age_s or 0.0:6.2f}", f"{solution.ratio or 0.0:6.1f}"]
     if velocity:
         if solution.velocity_enu_m_s is None:
             raise ValueError("solution has no velocity, expected one because velocity columns were asked for")

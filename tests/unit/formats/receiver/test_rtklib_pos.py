@@ -321,10 +321,18 @@ def test_unprintable_solution_is_refused() -> None:
         format_pos_line(SOMEWHERE, velocity=True)
 
 
-def test_columns_are_aligned_with_their_names() -> None:
-    line = format_pos_line(SOMEWHERE).decode()
-    header = format_pos_header().decode().splitlines()[1]
+@pytest.mark.parametrize("ambiguities", [True, False])
+def test_columns_are_aligned_with_their_names(ambiguities: bool) -> None:
+    line = format_pos_line(SOMEWHERE, ambiguities=ambiguities).decode()
+    header = format_pos_header(ambiguities=ambiguities).decode().splitlines()[1]
     assert len(line.rstrip("\n")) == len(header)
+
+
+def test_without_columns_of_ambiguities_age_and_ratio_are_unknown() -> None:
+    text = format_pos_header(ambiguities=False) + format_pos_line(SOMEWHERE, ambiguities=False)
+    (again,) = decode(text)
+    assert isinstance(again, ReceiverSolution)
+    assert (again.age_s, again.ratio, again.quality) == (None, None, SolutionQuality.FIX)
 
 
 SAMPLE = (

@@ -1,0 +1,150 @@
+"""ROS messages of what the judge publishes: verdicts and positions.
+
+A NavSatFix has a position and a status above NO_FIX only where a fix was confirmed, a pose exists only where it may be
+used: consumers in ROS do not look for more. Sources: sensor_msgs/NavSatFix, geometry_msgs/PoseWithCovarianceStamped,
+diagnostic_msgs/DiagnosticArray; `msg/camber_msgs/msg/Verdict.msg`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from camber.formats.ros.message_types import VERDICT_TYPE, header_at, message_types, new_message
+from camber.geodesy.local_frame import LocalFrame
+from camber.schemas.base import Covariance3, Float64
+from camber.schemas.integrity import Position, Verdict
+
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+ANTENNA_FRAME, MAP_FRAME = "gnss_antenna", "map"
+_NO_FIX, _GBAS_FIX, _SERVICE_GPS = -1, 2, 1  # NavSatStatus
+_COVARIANCE_UNKNOWN, _COVARIANCE_KNOWN = 0, 3  # NavSatFix
+_OK, _WARN = 0, 1  # DiagnosticStatus
+_UNKNOWN_ANGLE_RAD2 = math.pi**2 / 3.0  # variance of an angle that can be any
+_CONFIRMED = ("confirmed", "confirmed_after_verification")
+
+
+def verdict_message(verdict: Verdict) -> Any:
+    """Return camber_msgs/Verdict."""
+    cls = message_types().types[VERDICT_TYPE]
+    east_north_m = verdict.position_difference_m or (math.nan, math.nan)
+    degrees = [_degrees(verdict.latitude_rad), _degrees(verdict.longitude_rad)]
+    return new_message(
+        VERDICT_TYPE,
+        header=header_at(verdict.time_ns, ANTENNA_FRAME),
+        has_fix=verdict.fix_id is not None,
+        fix_id=verdict.fix_id or 0,
+        verdict=getattr(cls, verdict.verdict.upper()),
+        reason=verdict.reason,
+        detail=verdict.detail,
+        evidence=list(verdict.evidence),
+        cause=verdict.cause,
+        horizontal_reference=verdict.horizontal_reference,
+        height_difference_m=_number(verdict.height_difference_m),
+        tolerance_m=_number(verdict.tolerance_m),
+        position_difference_m=np.array(east_north_m),
+        joint_distance2=_number(verdict.joint_distance2),
+        joint_limit=_number(verdict.joint_limit),
+        missed_detection_probability=_number(verdict.missed_detection_probability),
+        correction_m=verdict.correction_m,
+        trials=verdict.trials,
+        latitude_deg=degrees[0],
+        longitude_deg=degrees[1],
+        height_m=_number(verdict.height_m),
+        covariance_enu_m2=_matrix(verdict.covariance_enu_m2, math.nan).reshape(-1),
+    )
+
+
+def fix_message(verdict: Verdict) -> Any:
+    """Return NavSatFix: the antenna's position where the fix was confirmed, else NO_FIX and NaN.
+
+    A confirmed one has the status GBAS_FIX, the highest of NavSatStatus.
+    """
+    confirmed = verdict.verdict in _CONFIRMED
+    covariance = verdict.covariance_enu_m2 if confirmed else None
+    status = new_message(
+        "sensor_msgs/msg/NavSatStatus", status=_GBAS_FIX if confirmed else _NO_FIX, service=_SERVICE_GPS
+    )
+    return new_message(
+        FIX_TYPE,
+        header=header_at(verdict.time_ns, ANTENNA_FRAME),
+        status=status,
+        latitude=_degrees(verdict.latitude_rad if confirmed else None),
+        longitude=_degrees(verdict.longitude_rad if confirmed else None),
+        altitude=_number(verdict.height_m if confirmed else None),
+        position_covariance=_matrix(covariance, 0.0).reshape(-1),
+        position_covariance_type=_COVARIANCE_UNKNOWN if covariance is None else _COVARIANCE_KNOWN,
+    )
+
+
+def usable_place(position: Position) -> tuple[float, float, float] | None:
+    """Return latitude, longitude [rad] and height [m] of the antenna; None unless they may be used."""
+    if not position.usable or position.covariance_enu_m2 is None:
+        return None
+    if position.latitude_rad is None or position.longitude_rad is None or position.height_m is None:
+        return None
+    return position.latitude_rad, position.longitude_rad, position.height_m
+
+
+def pose_message(position: Position, place: tuple[float, float, float], frame: LocalFrame) -> Any:
+    """Return the antenna's pose at its `usable_place` in `map`, a frame of east, north, up.
+
+    Angles have the variance of one that can be any: the position contains none, and no pitch and roll.
+    """
+    east_m, north_m, up_m = frame.enu_from_geodetic(*place)
+    half_rad = 0.5 * (position.yaw_rad or 0.0)
+    covariance = np.diag([_UNKNOWN_ANGLE_RAD2] * 6)
+    covariance[:3, :3] = _matrix(position.covariance_enu_m2, math.nan)
+    pose = new_message(
+        "geometry_msgs/msg/Pose",
+        position=new_message("geometry_msgs/msg/Point", x=east_m, y=north_m, z=up_m),
+        orientation=new_message(
+            "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half_rad), w=math.cos(half_rad)
+        ),
+    )
+    pose = new_message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.reshape(-1))
+    return new_message(POSE_TYPE, header=header_at(position.time_ns, MAP_FRAME), pose=pose)
+
+
+def diagnostics_message(position: Position, vehicle: str) -> Any:
+    """Return a DiagnosticArray of one status: OK where the position may be used, else WARN with the reason."""
+    values = {
+        name: getattr(position, name)
+        for name in (
+            *("source", "reason", "horizontal_reference", "horizontal_protection_level_m"),
+            *("vertical_protection_level_m", "integrity_risk", "alert_limit_m", "vertical_alert_limit_m"),
+        )
+    }
+    status = new_message(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=_OK if position.usable else _WARN,
+        name="camber: position",
+        message=f"usable ({position.source})" if position.usable else f"not usable: {position.reason}",
+        hardware_id=vehicle,
+        values=[
+            new_message("diagnostic_msgs/msg/KeyValue", key=key, value="" if value is None else str(value))
+            for key, value in values.items()
+        ],
+    )
+    return new_message(DIAGNOSTICS_TYPE, header=header_at(position.time_ns, ""), status=[status])
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _degrees(angle_rad: float | None) -> float:
+    return math.degrees(_number(angle_rad))
+
+
+def _matrix(covariance: Covariance3 | None, unknown: float) -> Float64:
+    """The symmetric matrix (3, 3) of its upper triangle."""
+    matrix = np.full((3, 3), unknown)
+    if covariance is not None:
+        matrix[np.triu_indices(3)] = covariance
+        matrix = np.triu(matrix) + np.triu(matrix, 1).T
+    return matrix

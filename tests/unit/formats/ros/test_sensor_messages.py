@@ -1,0 +1,109 @@
+"""Positions and motion of ROS messages: a fix only where the message says so, and unknown is no zero."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from camber.formats.errors import FormatError
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.formats.ros.sensor_messages import GPS_FIXES, NAV_SAT_FIX, motion_of, solution_of
+from camber.schemas.motion import Motion
+
+T = 1_400_000_000_000_000_000
+COVARIANCE = np.array([4.0, 0.1, 0.2, 0.1, 5.0, 0.3, 0.2, 0.3, 9.0])
+
+
+def fix(status: int, **changes: Any) -> Any:
+    values: dict[str, Any] = {
+        "status": SimpleNamespace(status=status, satellites_used=11),
+        "latitude": 35.0,
+        "longitude": -137.0,
+        "altitude": 41.5,
+        "position_covariance": COVARIANCE,
+        "position_covariance_type": 3,
+    }
+    return SimpleNamespace(**values | changes)
+
+
+def solved(kind: str, status: int, **changes: Any) -> ReceiverSolution | None:
+    return solution_of(fix(status, **changes), T, kind, "/fix")
+
+
+@pytest.mark.parametrize(
+    ("status", "quality"),
+    [(0, SolutionQuality.SINGLE), (1, SolutionQuality.SBAS), (2, SolutionQuality.DGPS)],
+)
+def test_a_nav_sat_fix_is_never_a_fix_with_resolved_integers(status: int, quality: SolutionQuality) -> None:
+    solution = solved(NAV_SAT_FIX, status)
+    assert solution == ReceiverSolution(
+        time_ns=T,
+        latitude_rad=math.radians(35.0),
+        longitude_rad=math.radians(-137.0),
+        height_m=41.5,
+        quality=quality,
+        covariance_enu_m2=(4.0, 0.1, 0.2, 5.0, 0.3, 9.0),
+    )
+
+
+@pytest.mark.parametrize("kind", GPS_FIXES)
+def test_of_all_statuses_of_a_gps_fix_one_means_resolved_integers(kind: str) -> None:
+    qualities = {status: solved(kind, status).quality for status in (0, 1, 2, 18, 19, 20, 33)}
+    assert [status for status, quality in qualities.items() if quality is SolutionQuality.FIX] == [19]
+    assert qualities[20] is SolutionQuality.FLOAT
+    assert solved(kind, 19).satellites == 11
+
+
+@pytest.mark.parametrize("kind", [NAV_SAT_FIX, *GPS_FIXES])
+def test_without_a_position_there_is_no_solution(kind: str) -> None:
+    assert solved(kind, -1) is None
+    assert solved(kind, -2, latitude=math.nan) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "changes", "expected"),
+    [
+        (NAV_SAT_FIX, 19, {}, r"status\.status is '19', expected one of 0, 1, 2, or below zero"),
+        (GPS_FIXES[0], 7, {}, r"status\.status is '7', expected one of 0, 1, 2, 18, 19, 20, 33"),
+        (NAV_SAT_FIX, 0, {"latitude": math.nan}, "expected a place on the Earth"),
+        (NAV_SAT_FIX, 0, {"longitude": 200.0}, "expected a place on the Earth"),
+        (NAV_SAT_FIX, 0, {"altitude": math.inf}, "expected a place on the Earth"),
+        (NAV_SAT_FIX, 0, {"position_covariance": -COVARIANCE}, "no variance below zero"),
+        (NAV_SAT_FIX, 0, {"position_covariance": COVARIANCE * math.nan}, "expected finite numbers"),
+    ],
+)
+def test_what_is_no_position_is_one_line(
+    kind: str, status: int, changes: dict[str, Any], expected: str
+) -> None:
+    with pytest.raises(FormatError, match=expected) as caught:
+        solved(kind, status, **changes)
+    assert str(caught.value).startswith("/fix: ")
+
+
+def test_a_covariance_of_unknown_type_or_of_zeros_is_unknown() -> None:
+    for changes in ({"position_covariance_type": 0}, {"position_covariance": 0.0 * COVARIANCE}):
+        solution = solved(NAV_SAT_FIX, 0, **changes)
+        assert solution is not None
+        assert solution.covariance_enu_m2 is None
+
+
+def twist(speed_m_s: float, yaw_rate_rad_s: float) -> Any:
+    return SimpleNamespace(linear=SimpleNamespace(x=speed_m_s), angular=SimpleNamespace(z=yaw_rate_rad_s))
+
+
+@pytest.mark.parametrize("deeper", [False, True])
+def test_motion_is_speed_along_x_and_rate_about_z(deeper: bool) -> None:
+    message = SimpleNamespace(twist=SimpleNamespace(twist=twist(3.0, -0.1)) if deeper else twist(3.0, -0.1))
+    assert motion_of(message, T) == Motion(time_ns=T, wheel_speed_m_s=3.0, yaw_rate_rad_s=-0.1)
+
+
+def test_what_is_not_finite_is_not_known() -> None:
+    assert motion_of(SimpleNamespace(twist=twist(math.nan, 0.2)), T) == Motion(time_ns=T, yaw_rate_rad_s=0.2)
+    assert motion_of(SimpleNamespace(twist=twist(math.nan, math.inf)), T) is None
+    with pytest.raises(ValidationError):
+        motion_of(SimpleNamespace(twist=twist(2000.0, 0.0)), T)
