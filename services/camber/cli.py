@@ -69,6 +69,8 @@ TOOL_GROUPS = {
         "record": Command("camber.tools.record.record", "record a vehicle's bus into MCAP files"),
         "play": Command("camber.tools.record.play", "play a recording back onto a bus"),
         "feed": Command("camber.tools.record.feed", "feed a recorded drive live to running services"),
+        "import": Command("camber.tools.bags.import_command", "make a drive of a ROS bag"),
+        "export": Command("camber.tools.bags.export_command", "make a ROS 2 bag of a run"),
     },
     "security": {
         "certs": Command(
@@ -100,6 +102,7 @@ EXTRA_OF = {
     "open3d": "map",
     "pyproj": "map",
     "rasterio": "map",
+    "rosbags": "ros",
     "small_gicp": "localizer",
     "starlette": "web",
     "uvicorn": "web",

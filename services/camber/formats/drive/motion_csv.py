@@ -22,8 +22,9 @@ from camber.schemas.motion import Motion, Ranging, Suspension
 
 M = TypeVar("M", bound=Message)
 
+MOTION_COLUMNS = ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad")
 _COLUMNS: dict[type[Message], tuple[str, ...]] = {
-    Motion: ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad"),
+    Motion: MOTION_COLUMNS,
     Suspension: ("time_ns", "stroke_height_m", "stroke_sigma_m"),
     Ranging: ("time_ns", "distance_m", "beam_angle_rad", "distance_sigma_m"),
 }
@@ -50,12 +51,20 @@ def write_samples(path: Path, kind: type[M], samples: Iterable[M]) -> None:
     rows, columns, optional = list(samples), _COLUMNS[kind], _OPTIONAL.get(kind, ())
     if any(getattr(sample, name) is not None for sample in rows for name in optional):
         columns += optional
-    lines = [",".join(columns)]
-    for sample in rows:
-        values = (getattr(sample, name) for name in columns[1:])
-        texts = ("" if value is None else f"{value:.9f}" for value in values)
-        lines.append(",".join((str(sample.time_ns), *texts)))
-    path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
+    lines = [sample_header(columns), *(sample_line(sample, columns) for sample in rows)]
+    path.write_bytes("".join(lines).encode("ascii"))
+
+
+def sample_header(columns: tuple[str, ...]) -> str:
+    """Return the first line of a table with these columns."""
+    return ",".join(columns) + "\n"
+
+
+def sample_line(sample: Message, columns: tuple[str, ...]) -> str:
+    """Return a sample as a line of a table, to 1e-9 of a unit."""
+    values = (getattr(sample, name) for name in columns[1:])
+    texts = ("" if value is None else f"{value:.9f}" for value in values)
+    return ",".join((str(sample.time_ns), *texts)) + "\n"
 
 
 def _sample(cls: type[M], header: tuple[str, ...], row: list[str], line: tuple[str, int]) -> M:

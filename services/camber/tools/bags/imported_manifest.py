@@ -1,0 +1,138 @@
+"""`drive.toml` of an imported bag: what was there, and as comments what is guessed, missing and not taken."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+
+from camber.formats.ros.sensor_messages import NAV_SAT_FIX
+from camber.tools.bags.drive_import import MOTION, POSITIONS, SWEEPS, DriveParts, TopicTally
+from camber.tools.bags.raw_bytes import RawFile
+
+_MISSING = """\
+# missing: the map; `camber map build` makes a release
+# [map]
+# release = "map"
+
+# missing: the antenna's height above the road; without it no fix is confirmed
+# [antenna_height]
+# height_m = 1.80
+# sigma_m = 0.02
+
+# missing: a start, unless fixes give one: [initial_pose]
+"""
+
+
+def imported_manifest(name: str, bags: Sequence[str], parts: DriveParts) -> str:
+    """Return the text of drive.toml."""
+    sections = [
+        [
+            f"# From {', '.join(bags)} by camber import {version('camber')}. Check what is marked guess and missing.",
+            f"name = {json.dumps(name)}",
+            'datum = "WGS84"  # guess: ROS messages do not contain the realisation',
+        ],
+        _receiver(parts.tally(parts.topics.receiver)),
+        _observations(parts.raw.files),
+        _motion(parts.tally(parts.topics.odometry)),
+        _sweeps(parts.tally(parts.topics.lidar), parts),
+        *_lever_arms(parts),
+        _not_taken(parts),
+    ]
+    texts = ("\n".join(map(_printable, lines)) for lines in sections if lines)
+    return "\n\n".join(texts) + "\n\n" + _MISSING
+
+
+def _printable(line: str) -> str:
+    """Return a line that names and faults of a bag cannot make two of."""
+    return "".join(character if character.isprintable() else " " for character in line)
+
+
+def _about(tally: TopicTally) -> list[str]:
+    text = f"# {tally.topic.name} ({tally.topic.kind}): {tally.taken} of {tally.topic.messages} messages, "
+    lines = [f"{text}recorded {tally.delay_s:.3f} s after their stamps (median)"]
+    if tally.first_fault is not None:
+        lines.append(f"# left out: {tally.left_out}, the first: {tally.first_fault}")
+    return lines
+
+
+def _receiver(tally: TopicTally | None) -> list[str]:
+    if tally is None:
+        return ["# missing: positions of a receiver"]
+    lines = [*_about(tally), "# " + ", ".join(f"{q.name} {n}" for q, n in sorted(tally.qualities.items()))]
+    if tally.topic.kind == NAV_SAT_FIX:
+        lines.append(
+            "# missing: whether integers are resolved. NavSatFix does not contain it: no position is a fix"
+        )
+    else:
+        lines.append("# guess: altitude is above the ellipsoid; GPSFix leaves its reference open")
+    return [*lines, "[receiver]", 'format = "pos"', f'file = "{POSITIONS}"']
+
+
+def _observations(files: Sequence[RawFile]) -> list[str]:
+    lines = [
+        f"# {file.topic}: {file.name}, {file.frames} frames, {file.measurements} of them with measurements"
+        for file in files
+    ]
+    rovers = [file for file in files if file.protocol == "ubx" and file.measurements and file.subframes]
+    bases = [file for file in files if file.protocol == "rtcm" and file.measurements]
+    if len(rovers) == 1 and len(bases) == 1:
+        lines += [
+            f"# guess: {rovers[0].name} is of the vehicle, {bases[0].name} of the base station",
+            "[observations]",
+            f'rover_obs = "{rovers[0].name}"',
+            f'base_obs = "{bases[0].name}"',
+            f'ephemerides = ["{rovers[0].name}"]',
+        ]
+    elif files:
+        lines.append(
+            "# missing for [observations]: one UBX with RXM-RAWX and RXM-SFRBX and one RTCM 3 with MSM"
+        )
+    return lines
+
+
+def _motion(tally: TopicTally | None) -> list[str]:
+    if tally is None:
+        return ["# missing: wheel speed and yaw rate"]
+    guess = (
+        "# guess: it is of wheels and a gyroscope. If satellites, LiDAR or a filter are in it, leave it out"
+    )
+    return [*_about(tally), guess, "[motion]", f'file = "{MOTION}"']
+
+
+def _sweeps(tally: TopicTally | None, parts: DriveParts) -> list[str]:
+    if tally is None or tally.layout is None:
+        return ["# missing: sweeps of a LiDAR"]
+    lines, layout = _about(tally), tally.layout
+    if layout.time is None:
+        lines.append(f"# missing: times of points ({layout.no_time}): sweeps are not de-skewed")
+        lines.append("# guess: the stamp is that of the sweep's end")
+    else:
+        lines.append(f"# times of points: field {layout.time.name} ({layout.time.makers})")
+    if parts.base_from(tally.frame_id) is None:
+        lines.append(f"# guess: axes of {tally.frame_id!r} are the vehicle's")
+    elif tally.turned:
+        lines.append(f"# turned from {tally.frame_id!r} into the axes of {parts.base_frame!r}")
+    return [*lines, "[sweeps]", f'folder = "{SWEEPS}"']
+
+
+def _lever_arms(parts: DriveParts) -> Iterator[list[str]]:
+    topics = parts.topics
+    yield [f"# guess: {parts.base_frame!r} is on the road, below the middle of the rear axle"]
+    arms = {"antenna": topics.receiver, "lidar": topics.lidar, "wheel": topics.odometry}
+    for arm, topic in arms.items():
+        tally = parts.tally(topic)
+        if tally is None:
+            continue
+        matrix = parts.base_from(tally.frame_id)
+        if matrix is None:
+            yield [f"# missing: [lever_arms.{arm}]; no transform from {tally.frame_id!r} in /tf_static"]
+            continue
+        places = (
+            f"{axis}_m = {place:.6g}" for axis, place in zip("xyz", matrix[:3, 3].tolist(), strict=True)
+        )
+        yield [f"[lever_arms.{arm}]  # {tally.frame_id!r}", *places]
+
+
+def _not_taken(parts: DriveParts) -> list[str]:
+    return [f"# not taken: {topic.name} ({topic.kind}, {topic.messages})" for topic in parts.topics.rest]
