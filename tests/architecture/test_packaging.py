@@ -48,6 +48,7 @@ def test_a_wheel_holds_both_roots_and_says_that_it_is_typed(tmp_path: Path) -> N
     for root in SOURCE_ROOTS:
         built = {str(path.relative_to(root.parent)) for path in root.rglob("*.py")}
         assert built <= names
+    assert "camber/formats/ros/msg/camber_msgs/msg/Verdict.msg" in names
 
 
 def test_every_dependency_is_pinned_and_nothing_says_from_where(monkeypatch: pytest.MonkeyPatch) -> None:

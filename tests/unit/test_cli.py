@@ -173,6 +173,7 @@ def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> N
     ("package", "name", "source"),
     [
         ("numba", "gnss", "camber[engine]"),
+        ("rosbags", "import", "camber[ros]"),
         ("cryptography", "doctor", "a full installation of Camber, not with a single service's image"),
     ],
 )

@@ -110,7 +110,7 @@ def pose_message(position: Position, place: tuple[float, float, float], frame: L
     return new_message(POSE_TYPE, header=header_at(position.time_ns, MAP_FRAME), pose=pose)
 
 
-def diagnostics_message(position: Position, vehicle: str) -> Any:
+def diagnostics_message(position: Position, key: str) -> Any:
     """Return a DiagnosticArray of one status: OK where the position may be used, else WARN with the reason."""
     values = {
         name: getattr(position, name)
@@ -124,7 +124,7 @@ def diagnostics_message(position: Position, vehicle: str) -> Any:
         level=_OK if position.usable else _WARN,
         name="camber: position",
         message=f"usable ({position.source})" if position.usable else f"not usable: {position.reason}",
-        hardware_id=vehicle,
+        hardware_id=key,
         values=[
             new_message("diagnostic_msgs/msg/KeyValue", key=key, value="" if value is None else str(value))
             for key, value in values.items()

@@ -65,8 +65,9 @@ class DriveParts:
     base_frame: str
 
     def tally(self, topic: BagTopic | None) -> TopicTally | None:
-        """Return the tally of a topic."""
-        return None if topic is None else self.tallies[topic.name]
+        """Return the tally of a topic of which something was taken."""
+        tally = None if topic is None else self.tallies[topic.name]
+        return tally if tally is not None and tally.taken else None
 
     def base_from(self, frame_id: str) -> Float64 | None:
         """Return the transform (4, 4) from a frame to the base frame; None where it is not known."""
@@ -77,8 +78,9 @@ def static_frames(bag: Bag) -> StaticFrames:
     """Return the static transforms of a bag."""
     frames = StaticFrames()
     for message in bag.messages({TF_STATIC}):
+        content = bag.decode(message)
         try:
-            frames.add(bag.decode(message))
+            frames.add(content)
         except ValueError as error:
             raise FormatError(TF_STATIC, "transforms", f"rigid motions: {error}") from None
     return frames
@@ -105,6 +107,9 @@ def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
     for tally in parts.tallies.values():
         if tally.first_fault is not None and not tally.taken:
             raise tally.first_fault
+    if not any(tally.taken for tally in parts.tallies.values()):
+        expected = "a position, a sample of motion, a sweep or a frame of UBX or RTCM 3"
+        raise FormatError(", ".join(topics.names), "messages", expected)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,6 @@ from camber.formats.ros.message_types import VERDICT_TYPE, message_types
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.run_folder import RunFolder
-from camber.schemas.channels import BY_NAME
 from camber.schemas.integrity import Position, Verdict
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.parsers import tool_parser
@@ -97,8 +96,7 @@ class _BagTopics:
         if place is not None:
             self.map_frame = self.map_frame or LocalFrame(*place)
             self._write("/camber/pose", message.time_ns, judged.pose_message(message, place, self.map_frame))
-        vehicle = BY_NAME["position"].vehicle_in(item.key)
-        self._write("/diagnostics", message.time_ns, judged.diagnostics_message(message, vehicle))
+        self._write("/diagnostics", message.time_ns, judged.diagnostics_message(message, item.key))
 
     def _write(self, topic: str, time_ns: int, message: Any) -> None:
         data = self._types.serialize_cdr(message, TOPICS[topic])

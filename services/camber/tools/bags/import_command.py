@@ -68,7 +68,7 @@ def import_bag(paths: Sequence[Path], out: Path, names: TopicNames, *, base_fram
     return "\n".join([*notes, f"Written: {out / 'drive.toml'}."])
 
 
-_PRINTED = ("# /", "# left out", "# missing", "# not taken")
+_PRINTED = ("# /", "# left out", "# wrong", "# missing", "# not taken")
 """Comments of the manifest that are printed, too."""
 
 

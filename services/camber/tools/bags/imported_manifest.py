@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
+from itertools import pairwise
 
 from camber.formats.ros.sensor_messages import NAV_SAT_FIX
 from camber.tools.bags.drive_import import MOTION, POSITIONS, SWEEPS, DriveParts, TopicTally
 from camber.tools.bags.raw_bytes import RawFile
 
+_LATEST_S = 1.0  # chosen: no driver takes longer from measurement to message; clocks differ by whole seconds
 _MISSING = """\
 # missing: the map; `camber map build` makes a release
 # [map]
@@ -36,6 +38,7 @@ def imported_manifest(name: str, bags: Sequence[str], parts: DriveParts) -> str:
         _observations(parts.raw.files),
         _motion(parts.tally(parts.topics.odometry)),
         _sweeps(parts.tally(parts.topics.lidar), parts),
+        _clocks([tally for tally in parts.tallies.values() if tally.delays_ns]),
         *_lever_arms(parts),
         _not_taken(parts),
     ]
@@ -114,6 +117,17 @@ def _sweeps(tally: TopicTally | None, parts: DriveParts) -> list[str]:
     elif tally.turned:
         lines.append(f"# turned from {tally.frame_id!r} into the axes of {parts.base_frame!r}")
     return [*lines, "[sweeps]", f'folder = "{SWEEPS}"']
+
+
+def _clocks(tallies: Sequence[TopicTally]) -> list[str]:
+    """Of topics whose stamps are of clocks that differ: by GPS − UTC, TAI − UTC, or hours."""
+    by_delay = sorted(tallies, key=lambda tally: tally.delay_s)
+    return [
+        f"# wrong: stamps of {before.topic.name} are {after.delay_s - before.delay_s:.1f} s ahead of those of "
+        f"{after.topic.name}, by the times of recording"
+        for before, after in pairwise(by_delay)
+        if after.delay_s - before.delay_s > _LATEST_S
+    ]
 
 
 def _lever_arms(parts: DriveParts) -> Iterator[list[str]]:

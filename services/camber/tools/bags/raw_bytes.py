@@ -60,7 +60,11 @@ class RawBytes:
 
     def _file(self, topic: str, protocol: str) -> tuple[RawFile, BufferedWriter]:
         if (topic, protocol) not in self._files:
-            name = f"{re.sub('[^A-Za-z0-9]+', '_', topic.strip('/'))}.{protocol}"
+            stem = re.sub("[^A-Za-z0-9]+", "_", topic.strip("/"))
+            taken = {file.name for file in self.files}
+            name = f"{stem}.{protocol}"
+            if name in taken:  # /a/b and /a_b
+                name = f"{stem}-{len(taken)}.{protocol}"
             file = RawFile(name=name, topic=topic, protocol=protocol)
             self._files[topic, protocol] = file, (self._folder / name).open("wb")
         return self._files[topic, protocol]

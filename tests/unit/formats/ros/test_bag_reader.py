@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -47,6 +49,15 @@ def test_a_bag_cut_off_is_one_line(tmp_path: Path, kind: BagKind, share: float) 
         list(bag.messages({"/twist", "/raw"}))
     assert str(caught.value).startswith(f"{path.name}: data")
     assert "\n" not in str(caught.value)
+
+
+def test_a_bag_without_definitions_is_read_by_the_standard_ones(tmp_path: Path) -> None:
+    path = written(tmp_path / "bag", "sqlite3", 3)
+    with closing(sqlite3.connect(path / "bag.db3")) as database, database:  # as before Iron
+        database.execute("DELETE FROM message_definitions")
+    with open_bag([path]) as bag:
+        speeds = [bag.decode(message).twist.linear.x for message in bag.messages({"/twist"})]
+    assert speeds == pytest.approx([0.0, 0.1, 0.2])
 
 
 def test_what_is_no_bag_is_one_line(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from camber.formats.ros.message_types import VERDICT_TYPE, message_types, stamp_unix_ns
@@ -96,6 +97,13 @@ def test_the_bag_has_definitions_and_hashes_of_its_types(bag: Path) -> None:
     for kind in export_command.TOPICS.values():
         assert message_types().hash_rihs01(kind) in metadata
     assert VERDICT_TYPE in metadata
+
+
+def test_another_reader_of_mcap_finds_the_same_messages(bag: Path) -> None:
+    with (bag / "bag.mcap").open("rb") as stream:
+        kinds = Counter(schema.name for schema, _, _ in make_reader(stream).iter_messages() if schema)
+    expected = {kind: len(read(bag)[topic]) for topic, kind in export_command.TOPICS.items()}
+    assert kinds == expected
 
 
 def test_a_damaged_recording_gives_what_is_before_the_damage(

@@ -229,6 +229,37 @@ def test_single_messages_with_wrong_stamps_are_left_out_and_counted(
     assert "left out: 2, the first: /fix: header.stamp is '0.000000000'" in printed
 
 
+def test_a_receiver_without_position_is_missing_and_alone_one_line(tmp_path: Path, refused: Refused) -> None:
+    def none(bag: BagWriter) -> None:
+        status = bag.new("sensor_msgs/msg/NavSatStatus", status=-1, service=1)
+        bag.nav_sat_fix("/fix", UNIX_NS, SOLUTION, status=status)
+
+    def and_motion(bag: BagWriter) -> None:
+        none(bag)
+        bag.twist("/twist", UNIX_NS, 1.0, 0.0)
+
+    line = refused(import_command.main, made(tmp_path / "none", none), "--out", tmp_path / "drive")
+    assert line.endswith(
+        "/fix: messages, expected a position, a sample of motion, a sweep or a frame of UBX or RTCM 3"
+    )
+    manifest = imported(made(tmp_path / "bag", and_motion), tmp_path / "drive")
+    assert manifest.receiver is None
+    assert manifest.motion is not None
+    assert "# missing: positions of a receiver" in (tmp_path / "drive" / "drive.toml").read_text()
+
+
+def test_clocks_that_differ_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def fill(bag: BagWriter) -> None:
+        for k in range(10):
+            ahead = bag.header(UNIX_NS + (k + 18) * NS, "gps")  # GPS time as if it were UTC
+            bag.nav_sat_fix("/fix", UNIX_NS + k * NS, SOLUTION, header=ahead)
+            bag.twist("/twist", UNIX_NS + k * NS, 1.0, 0.0)
+
+    imported(made(tmp_path / "bag", fill), tmp_path / "drive")
+    expected = "wrong: stamps of /fix are 18.0 s ahead of those of /twist, by the times of recording"
+    assert expected in capsys.readouterr().out.splitlines()
+
+
 def test_half_a_bag_is_one_line_and_leaves_nothing(blind: Path, tmp_path: Path, refused: Refused) -> None:
     bag = write_drive_bag(blind, tmp_path / "bag")
     file = bag / "bag.mcap"
@@ -298,10 +329,12 @@ def test_bytes_of_one_side_alone_are_kept_and_named(tmp_path: Path) -> None:
     data = (folder / "base.rtcm").read_bytes()
 
     def fill(bag: BagWriter) -> None:
-        bag.raw("/rtcm", UNIX_NS, data)
+        bag.raw("/base/rtcm", UNIX_NS, data)
+        bag.raw("/base_rtcm", UNIX_NS, data[:1000])
         bag.nav_sat_fix("/fix", UNIX_NS, SOLUTION)
 
     manifest = imported(made(tmp_path / "bag", fill), tmp_path / "drive")
     assert manifest.observations is None
-    assert (tmp_path / "drive" / "rtcm.rtcm").read_bytes() == data
+    assert (tmp_path / "drive" / "base_rtcm.rtcm").read_bytes() == data
+    assert (tmp_path / "drive" / "base_rtcm-1.rtcm").exists()
     assert "# missing for [observations]: one UBX" in (tmp_path / "drive" / "drive.toml").read_text()
