@@ -311,9 +311,14 @@ def _clouds(random: Random) -> list[list[bytes]]:
 
 
 def _point_clouds(random: Random) -> list[list[bytes]]:
-    sweep = build(Sweep, random, filled=True)
-    offset_ns = -np.arange(len(sweep.points_m), dtype=np.int32)[::-1] * 1000
-    sweep = sweep.model_copy(update={"time_ns": 1_400_000_000 * 10**9, "offset_ns": offset_ns})
+    rng = np.random.default_rng(random.getrandbits(32))
+    sweep = Sweep(
+        time_ns=1_400_000_000 * 10**9,
+        sensor="lidar",
+        points_m=rng.normal(0.0, 20.0, (20, 3)).astype(np.float32),
+        intensity=rng.random(20, np.float32),
+        offset_ns=1000 * np.arange(-19, 1, dtype=np.int32),
+    )
     return [[point_cloud2_bytes(sweep, maker, big_endian=big)] for maker in MAKERS for big in (False, True)]
 
 

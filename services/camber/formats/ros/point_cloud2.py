@@ -1,7 +1,8 @@
 """sensor_msgs/PointCloud2 as a sweep: any layout of fields, and the times of points as makers' drivers give them.
 
-Source: sensor_msgs/msg/PointCloud2.msg and PointField.msg; the fields of time are in `TIME_FIELDS`. Points that were
-not measured (a coordinate that is not finite, or all of them zero) are left out, the others are in the order of time.
+Source: sensor_msgs/msg/PointCloud2.msg and PointField.msg; the fields of time are in `TIME_FIELDS`. Points are in the
+order of time. Those that were not measured are left out: a coordinate is no number or far beyond any sensor, or all
+three are zero.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 """numpy's codes of PointField's constants; the last two are of Lyrical."""
 _MOST_POINTS = 20_000_000  # chosen: beyond any sensor's sweep, so that damage does not fill the memory
 _MOST_POINT_BYTES = 65_536  # chosen: as for that
+_FARTHEST_M = 1e5  # chosen: beyond any sensor, so that no sum of coordinates overflows
 _FARTHEST_NS = 1_000_000_000
 """Chosen: a stamp is that of a sweep's begin or end, and no sweep takes longer (`sensors.sweep_assembly`)."""
 _NANOSECONDS_FROM = 1e14
@@ -57,7 +59,6 @@ class PointLayout:
     Without times of points a sweep cannot be de-skewed.
     """
 
-    names: tuple[str, ...]
     row: np.dtype[Any]
     time: PointTimeField | None
     no_time: str
@@ -90,7 +91,7 @@ def point_layout(message: Any, topic: str) -> PointLayout:
             "itemsize": step,
         }
     )
-    return PointLayout(names=names, row=row, time=time, no_time=no_time)
+    return PointLayout(row=row, time=time, no_time=no_time)
 
 
 # What is beyond a type or no number is left out or refused.
@@ -103,7 +104,7 @@ def sweep_from_point_cloud2(message: Any, layout: PointLayout, topic: str, senso
     """
     points = _points(message, layout.row, topic)
     xyz = np.column_stack([points[axis] for axis in "xyz"]).astype(np.float32)
-    measured = np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)
+    measured = (np.abs(xyz) <= _FARTHEST_M).all(axis=1) & xyz.any(axis=1)
     if layout.time is not None:
         measured &= np.isfinite(points[layout.time.name])
     if not measured.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from io import BufferedWriter
 from pathlib import Path
@@ -92,7 +92,7 @@ def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
     Raises FormatError where a topic has no usable message or the bag is damaged, OSError.
     """
     topics = parts.topics
-    with _files(folder, topics) as streams:
+    with closing(parts.raw), _files(folder, topics) as streams:
         checks = {name: StampCheck(name) for name in topics.names}
         for message in bag.messages(topics.names):
             tally = parts.tallies[message.topic]
@@ -103,7 +103,6 @@ def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
                 tally.first_fault = tally.first_fault or error
             else:
                 tally.taken += taken
-    parts.raw.close()
     for tally in parts.tallies.values():
         if tally.first_fault is not None and not tally.taken:
             raise tally.first_fault

@@ -42,8 +42,9 @@ class RawBytes:
 
     def add(self, topic: str, data: bytes) -> None:
         """Write the frames that these bytes complete."""
-        buffer = self._buffers.setdefault(topic, FrameBuffer("ubx", "rtcm"))
-        for frame in buffer.feed(data):
+        if topic not in self._buffers:
+            self._buffers[topic] = FrameBuffer("ubx", "rtcm")
+        for frame in self._buffers[topic].feed(data):
             file, stream = self._file(topic, frame.protocol)
             stream.write(frame.data)
             file.frames += 1

@@ -107,9 +107,9 @@ def test_a_field_of_another_type_than_the_makers_is_not_taken_for_times() -> Non
 def test_what_was_not_measured_is_left_out() -> None:
     sweep = sweep_of(6, 4)
     points_m = sweep.points_m.copy()
-    points_m[1], points_m[2, 1], points_m[3, 0] = 0.0, np.nan, np.inf
+    points_m[1], points_m[2, 1], points_m[3, 0], points_m[4, 2] = 0.0, np.nan, np.inf, 1e38
     message = cloud_message(sweep.model_copy(update={"points_m": points_m}), "velodyne")
-    assert np.array_equal(read(message).points_m, points_m[[0, 4, 5]])
+    assert np.array_equal(read(message).points_m, points_m[[0, 5]])
 
 
 def test_intensities_are_zero_where_there_are_none_or_no_numbers() -> None:
