@@ -26,36 +26,31 @@ _COVARIANCE_UNKNOWN, _COVARIANCE_KNOWN = 0, 3  # NavSatFix
 _OK, _WARN = 0, 1  # DiagnosticStatus
 _UNKNOWN_ANGLE_RAD2 = math.pi**2 / 3.0  # variance of an angle that can be any
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
+_SAME = ("reason", "detail", "cause", "horizontal_reference", "correction_m", "trials")
+_NUMBERS = (
+    *("height_difference_m", "tolerance_m", "joint_distance2", "joint_limit"),
+    "missed_detection_probability",
+)
+"""Fields of a verdict that the message has by the same names; numbers are NaN where they are not known."""
 
 
 def verdict_message(verdict: Verdict) -> Any:
-    """Return camber_msgs/Verdict."""
-    cls = message_types().types[VERDICT_TYPE]
-    east_north_m = verdict.position_difference_m or (math.nan, math.nan)
-    degrees = [_degrees(verdict.latitude_rad), _degrees(verdict.longitude_rad)]
+    """Return camber_msgs/Verdict; a position stands in it only where the fix is confirmed."""
+    latitude_deg, longitude_deg, height_m, covariance = _confirmed_place(verdict)
     return new_message(
         VERDICT_TYPE,
         header=header_at(verdict.time_ns, ANTENNA_FRAME),
         has_fix=verdict.fix_id is not None,
         fix_id=verdict.fix_id or 0,
-        verdict=getattr(cls, verdict.verdict.upper()),
-        reason=verdict.reason,
-        detail=verdict.detail,
+        verdict=getattr(message_types().types[VERDICT_TYPE], verdict.verdict.upper()),
         evidence=list(verdict.evidence),
-        cause=verdict.cause,
-        horizontal_reference=verdict.horizontal_reference,
-        height_difference_m=_number(verdict.height_difference_m),
-        tolerance_m=_number(verdict.tolerance_m),
-        position_difference_m=np.array(east_north_m),
-        joint_distance2=_number(verdict.joint_distance2),
-        joint_limit=_number(verdict.joint_limit),
-        missed_detection_probability=_number(verdict.missed_detection_probability),
-        correction_m=verdict.correction_m,
-        trials=verdict.trials,
-        latitude_deg=degrees[0],
-        longitude_deg=degrees[1],
-        height_m=_number(verdict.height_m),
-        covariance_enu_m2=_matrix(verdict.covariance_enu_m2, math.nan).reshape(-1),
+        position_difference_m=np.array(verdict.position_difference_m or (math.nan, math.nan)),
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        height_m=height_m,
+        covariance_enu_m2=_matrix(covariance, math.nan).reshape(-1),
+        **{name: getattr(verdict, name) for name in _SAME},
+        **{name: _number(getattr(verdict, name)) for name in _NUMBERS},
     )
 
 
@@ -64,18 +59,15 @@ def fix_message(verdict: Verdict) -> Any:
 
     A confirmed one has the status GBAS_FIX, the highest of NavSatStatus.
     """
-    confirmed = verdict.verdict in _CONFIRMED
-    covariance = verdict.covariance_enu_m2 if confirmed else None
-    status = new_message(
-        "sensor_msgs/msg/NavSatStatus", status=_GBAS_FIX if confirmed else _NO_FIX, service=_SERVICE_GPS
-    )
+    latitude_deg, longitude_deg, height_m, covariance = _confirmed_place(verdict)
+    status = _GBAS_FIX if verdict.verdict in _CONFIRMED else _NO_FIX
     return new_message(
         FIX_TYPE,
         header=header_at(verdict.time_ns, ANTENNA_FRAME),
-        status=status,
-        latitude=_degrees(verdict.latitude_rad if confirmed else None),
-        longitude=_degrees(verdict.longitude_rad if confirmed else None),
-        altitude=_number(verdict.height_m if confirmed else None),
+        status=new_message("sensor_msgs/msg/NavSatStatus", status=status, service=_SERVICE_GPS),
+        latitude=latitude_deg,
+        longitude=longitude_deg,
+        altitude=height_m,
         position_covariance=_matrix(covariance, 0.0).reshape(-1),
         position_covariance_type=_COVARIANCE_UNKNOWN if covariance is None else _COVARIANCE_KNOWN,
     )
@@ -133,12 +125,17 @@ def diagnostics_message(position: Position, key: str) -> Any:
     return new_message(DIAGNOSTICS_TYPE, header=header_at(position.time_ns, ""), status=[status])
 
 
+def _confirmed_place(verdict: Verdict) -> tuple[float, float, float, Covariance3 | None]:
+    """Latitude, longitude [deg], height [m] and covariance; NaN and None where nothing is confirmed."""
+    if verdict.verdict not in _CONFIRMED:
+        return math.nan, math.nan, math.nan, None
+    latitude_rad, longitude_rad = _number(verdict.latitude_rad), _number(verdict.longitude_rad)
+    height_m = _number(verdict.height_m)
+    return math.degrees(latitude_rad), math.degrees(longitude_rad), height_m, verdict.covariance_enu_m2
+
+
 def _number(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _degrees(angle_rad: float | None) -> float:
-    return math.degrees(_number(angle_rad))
 
 
 def _matrix(covariance: Covariance3 | None, unknown: float) -> Float64:

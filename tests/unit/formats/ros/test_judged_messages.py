@@ -62,7 +62,12 @@ def test_a_verdict_keeps_its_value_and_what_it_rests_on(value: str) -> None:
     assert message.evidence == ["height", "position"]
     assert message.height_difference_m == 0.03
     assert math.isnan(message.tolerance_m)
-    assert message.covariance_enu_m2.tolist() == MATRIX
+    if value.startswith("confirmed"):
+        assert message.covariance_enu_m2.tolist() == MATRIX
+        assert (message.latitude_deg, message.height_m) == (math.degrees(0.6), 50.0)
+    else:
+        assert np.isnan([message.latitude_deg, message.longitude_deg, message.height_m]).all()
+        assert np.isnan(message.covariance_enu_m2).all()
 
 
 def test_a_verdict_on_an_epoch_without_fix_says_so_and_knows_no_position() -> None:
