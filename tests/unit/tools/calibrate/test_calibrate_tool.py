@@ -159,7 +159,7 @@ def test_it_writes_the_toml_to_the_file_given(
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
-        ("receiver", "expected a table receiver"),
+        ("receiver", "no table receiver, expected"),
         ("motion", "no table motion"),
         ("initial_pose", "no initial_pose"),
         ("map", "no table map"),
