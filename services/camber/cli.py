@@ -19,6 +19,9 @@ SERVICES = {
     "antenna_height": Command("camber.antenna_height.service", "height of the antenna above the road"),
     "integrity": Command("camber.integrity.service", "verdicts, positions with protection levels, uploads"),
     "sensors": Command("camber.sensors.service", "sweeps and motion from a LiDAR and a CAN bus"),
+    "ros2": Command(
+        "camber.ros2.service", "sensors from a ROS 2 graph by rmw_zenoh; positions and verdicts to it"
+    ),
     "map_update": Command("camber.map_update.service", "fleet uploads, their fusion, new map releases"),
 }
 TOOL_GROUPS = {

@@ -66,6 +66,8 @@ SERVICES = (*VEHICLE_SERVICES, "map_update")
 """In the order of work within one epoch of a replay."""
 SENSORS = "sensors"
 """Publishes for the vehicle where no other process does; in a replay its part is the feeder's."""
+ROS2 = "ros2"
+"""As `sensors` for what comes from ROS; a consumer as any other."""
 _ALL = " ".join(SERVICES)
 
 
@@ -183,7 +185,10 @@ CHANNELS: tuple[Channel, ...] = (
         "fleet/map/changes", "tools > map_update", (None, 2.0), (fleet.MapChangesRequest, fleet.MapChanges)
     ),
     _query(
-        "{service}/health", f"tools > {_ALL} {SENSORS}", (None, 1.0), (health.HealthRequest, health.Health)
+        "{service}/health",
+        f"tools > {_ALL} {SENSORS} {ROS2}",
+        (None, 1.0),
+        (health.HealthRequest, health.Health),
     ),
     _query(
         "{service}/log_level", f"tools > {_ALL}", (None, 1.0), (health.LogLevelRequest, health.LogLevelReply)
@@ -197,10 +202,11 @@ BY_NAME: dict[str, Channel] = {channel.name: channel for channel in CHANNELS}
 
 def inputs_of(service: str) -> tuple[Channel, ...]:
     """Channels a service subscribes to (queries and the barrier apart)."""
-    return tuple(c for c in CHANNELS if service in c.consumers and c.delivery in ("small", "bulk"))
+    receives_as = "consumers" if service == ROS2 else service
+    return tuple(c for c in CHANNELS if receives_as in c.consumers and c.delivery in ("small", "bulk"))
 
 
 def outputs_of(service: str) -> tuple[Channel, ...]:
     """Channels a service publishes on (queries and the barrier apart)."""
-    speaks_as = "vehicle" if service == SENSORS else service
+    speaks_as = "vehicle" if service in (SENSORS, ROS2) else service
     return tuple(c for c in CHANNELS if speaks_as in c.producers and c.delivery in ("small", "bulk"))

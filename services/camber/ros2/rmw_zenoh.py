@@ -1,7 +1,7 @@
 """Keys, liveliness tokens, identifiers and attachments as rmw_zenoh writes them, from version 0.6 on.
 
-Source: ros2/rmw_zenoh, docs/design.md ("Topic and Service name mapping", "Graph Cache") and in rmw_zenoh_cpp/src/detail:
-liveliness_utils.cpp, attachment_helpers.cpp, qos.cpp, rmw_publisher_data.cpp. Jazzy has had this format since 0.2.4.
+Source: ros2/rmw_zenoh, docs/design.md ("Topic and Service name mapping", "Graph Cache"), rmw_zenoh_cpp/src/detail/
+liveliness_utils.cpp, attachment_helpers.cpp, qos.cpp and rmw_publisher_data.cpp. Jazzy has had this format since 0.2.4.
 Humble's messages have no hashes: its keys end in `TypeHashNotSupported`, the rest is the same.
 """
 
