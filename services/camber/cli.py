@@ -109,6 +109,7 @@ EXTRA_OF = {
     "small_gicp": "localizer",
     "starlette": "web",
     "uvicorn": "web",
+    "xxhash": "ros",
 }
 """Optional packages, and the extra of the distribution that installs them."""
 

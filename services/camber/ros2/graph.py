@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
-from camber.formats.ros.bag_reader import DAMAGE
 from camber.formats.ros.message_types import message_types
 from camber.ros2.rmw_zenoh import (
     NO_TYPE_HASH,
@@ -64,7 +63,7 @@ class RosSubscription:
             try:
                 attachment = decode_attachment(item.attachment)
                 messages.append(message_types().deserialize_cdr(item.data, self.topic.kind))
-            except DAMAGE as error:
+            except Exception as error:  # the library raises nearly anything for damage
                 self.refused += 1
                 self.refusal = f"{self.topic.name}: {' '.join(str(error).split())[:200]}"
                 continue
