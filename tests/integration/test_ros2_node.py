@@ -14,7 +14,8 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -307,11 +308,13 @@ class Bench:
         return wait_until(once, timeout_s=20.0, why=why)
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+@contextmanager
+def running(folder: Path, *more: str) -> Iterator[Bench]:
+    """`camber ros2` with these lines of settings and those below, and a node that was there before."""
     lines = (
         "domain_id = 42",
         'router = ["ENDPOINT"]',
+        *more,
         "[inputs]",
         'lidar = "/lidar/points"',
         'receiver = "/gps/fix"',
@@ -327,18 +330,23 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
         node.subscribe(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray")
         node.subscribe(CAMBER_ODOMETRY, "nav_msgs/msg/Odometry")
         node.subscribe(TF, "tf2_msgs/msg/TFMessage")
+        node.subscribe(SELECTED_POSE, "geometry_msgs/msg/PoseWithCovarianceStamped")
         node.advertise(10, TF_STATIC, kept=True)(static_frames())  # before anybody subscribes
         bus = bus_of(endpoint, "integrity")
         bus.announce()
         stack.callback(bus.close)
         config = settings_file(
-            tmp_path_factory.mktemp("ros2") / "ros2.toml",
-            endpoint,
-            *(line.replace("ENDPOINT", endpoint) for line in lines),
+            folder / "ros2.toml", endpoint, *(line.replace("ENDPOINT", endpoint) for line in lines)
         )
         stack.enter_context(camber_started("ros2", "--config", config, stdout=None, stderr=None))
-        wait_until(lambda: node.received[FIX], timeout_s=60.0, why="no NavSatFix")
         yield Bench(endpoint, node, Judge(bus))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with running(tmp_path_factory.mktemp("ros2")) as bench:
+        wait_until(lambda: bench.node.received[FIX], timeout_s=60.0, why="no NavSatFix")
+        yield bench
 
 
 def test_a_node_and_its_topics_are_in_the_graph(bench: Bench) -> None:
@@ -544,3 +552,35 @@ def test_diagnostics_come_each_second_with_services_and_the_last_reason(bench: B
     n = len(bench.node.received[DIAGNOSTICS])
     time.sleep(3.3)
     assert 2 <= len(bench.node.received[DIAGNOSTICS]) - n <= 4
+
+
+def test_autoware_gets_gnss_poses_of_confirmed_fixes_and_ndt_poses_else(tmp_path: Path) -> None:
+    """The GNSS pose is at x = 1, the NDT pose at x = 2; gnss_poser keeps the stamp of the NavSatFix."""
+
+    def selected(bench: Bench) -> list[float]:
+        return [message.pose.pose.position.x for message, _, _ in bench.node.received[SELECTED_POSE]]
+
+    def give(bench: Bench, **how: bool) -> None:
+        unix_ns = unix_ns_of(bench.judge.judge(**how))
+        time.sleep(0.1)
+        bench.gnss(pose(unix_ns, 1.0, 0.004))
+        bench.ndt(pose(time.time_ns(), 2.0, 0.2))
+
+    with running(tmp_path, "autoware.enabled = true") as bench:
+        wait_until(lambda: bench.node.received[FIX], timeout_s=60.0, why="no NavSatFix")
+        bench.publish_until(
+            lambda: give(bench, confirmed=False), lambda: len(selected(bench)) >= 3, "no NDT pose"
+        )
+        assert set(selected(bench)) == {2.0}
+        bench.publish_until(
+            lambda: give(bench, confirmed=True), lambda: selected(bench)[-2:] == [1.0, 1.0], "no GNSS pose"
+        )
+        for how in ({"confirmed": True, "usable": False}, {"confirmed": False}):
+            bench.publish_until(
+                lambda how=how: give(bench, **how), lambda: selected(bench)[-2:] == [2.0, 2.0], "no NDT pose"
+            )
+            n = len(selected(bench))
+            for _ in range(3):
+                give(bench, **how)
+            assert set(selected(bench)[n:]) <= {2.0}, how
+        assert not bench.node.received[TF]
