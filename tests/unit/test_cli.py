@@ -24,7 +24,7 @@ def test_help_names_every_service_and_every_tool(capsys: pytest.CaptureFixture[s
 
 
 def test_every_service_of_the_table_is_a_command() -> None:
-    assert set(cli.SERVICES) == {*channels.SERVICES, channels.SENSORS}
+    assert set(cli.SERVICES) == {*channels.SERVICES, channels.SENSORS, channels.ROS2}
 
 
 @pytest.mark.parametrize("name", sorted(cli.SERVICES))

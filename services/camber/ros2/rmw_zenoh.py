@@ -17,7 +17,7 @@ EntityKind = Literal["NN", "MP", "MS", "SS", "SC"]
 """Node, publisher, subscription, service, client."""
 NO_TYPE_HASH = "TypeHashNotSupported"
 _ADMIN_SPACE = "@ros2_lv"
-_GID_BYTES = 16
+_GID_BYTES = 16  # rmw/types.h, RMW_GID_STORAGE_SIZE
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_BYTES}s")
 """By Zenoh's serialization: two int64, then a sequence of bytes after its length."""
 _DEFAULT_DEPTH = 42  # qos.cpp, RMW_ZENOH_DEFAULT_HISTORY_DEPTH

@@ -70,7 +70,7 @@ def attached(sequence: int, gid: int = 1, data: bytes | None = None) -> Attached
     return AttachedBytes(data=text("a") if data is None else data, attachment=attachment)
 
 
-def test_publishers_and_subscriptions_have_tokens_of_their_own_numbers() -> None:
+def test_publishers_and_subscriptions_have_tokens_of_different_numbers() -> None:
     graph, session = graph_of()
     graph.advertise("/a/b", "std_msgs/msg/String")
     graph.subscribe("/c", "std_msgs/msg/String", limit=5)
@@ -96,8 +96,8 @@ def test_humble_has_keys_and_tokens_without_hashes() -> None:
 def test_messages_are_cdr_with_a_sequence_from_one_and_the_tokens_identifier() -> None:
     graph, session = graph_of()
     publisher = graph.advertise("/a", "std_msgs/msg/String")
-    for word in ("one", "two"):
-        publisher.publish(new_message("std_msgs/msg/String", data=word))
+    for data in ("one", "two"):
+        publisher.publish(new_message("std_msgs/msg/String", data=data))
     assert session.put[0][0] == b"\x00\x01\x00\x00\x04\x00\x00\x00one\x00"
     attachments = [decode_attachment(attachment) for _, attachment in session.put]
     assert [one.sequence for one in attachments] == [1, 2]
@@ -165,7 +165,7 @@ def test_hashes_are_the_same_in_all_distributions(kind: str) -> None:
     assert {get_typestore(store).hash_rihs01(kind) for store in stores} == {message_types().hash_rihs01(kind)}
 
 
-def test_our_own_message_has_a_hash() -> None:
+def test_the_message_of_verdicts_has_a_hash() -> None:
     assert message_types().hash_rihs01(VERDICT_TYPE).startswith("RIHS01_")
 
 

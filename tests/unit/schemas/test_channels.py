@@ -7,7 +7,7 @@ import pytest
 from camber.schemas.channels import BY_NAME, CHANNELS, SERVICES, Channel, inputs_of, outputs_of
 
 every_channel = pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-OTHERS = {"vehicle", "tools", "feeder", "consumers", "sensors"}
+OTHERS = {"vehicle", "tools", "feeder", "consumers", "sensors", "ros2"}
 
 
 def test_names_and_keys_are_unique() -> None:

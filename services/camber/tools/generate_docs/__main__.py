@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from camber.schemas.channels import SENSORS, SERVICES
+from camber.schemas.channels import ROS2, SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
 from camber.tools.generate_docs.decision_pages import decision_list
 from camber.tools.generate_docs.decision_table import decision_table
@@ -23,6 +23,7 @@ SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
         (f"services/{service}.md", "parameters"): partial(parameter_table, service)
         for service in (*SERVICES, SENSORS)
     },
+    ("ros.md", "parameters"): partial(parameter_table, ROS2),
     ("services/integrity.md", "decision table"): decision_table,
     ("decisions/README.md", "decisions"): partial(decision_list, DOCS / "decisions"),
     ("security.md", "access table"): table_text,

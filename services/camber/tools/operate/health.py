@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryFailed, check_router, query_once
-from camber.schemas.channels import SENSORS, SERVICES
+from camber.schemas.channels import ROS2, SENSORS, SERVICES
 from camber.schemas.health import Health, HealthRequest
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import number_from
@@ -24,7 +24,7 @@ exit codes: 0 ok, starting or degraded (waiting for inputs, which a restart woul
 def main(argv: Sequence[str]) -> int:
     """Query one service and print its health; return the exit code."""
     parser = tool_parser(_PROG, __doc__, _HELP)
-    services, add = (*SERVICES, SENSORS, ROUTER), parser.add_argument
+    services, add = (*SERVICES, SENSORS, ROS2, ROUTER), parser.add_argument
     add("service", choices=services, metavar="SERVICE", help="name of the service, or router")
     add("--vehicle", metavar="V", help="name of the vehicle")
     add_bus_options(parser)

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryClient, QueryFailed
-from camber.schemas.channels import SENSORS, SERVICES
+from camber.schemas.channels import ROS2, SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
 from camber.tools.options.parsers import add_with_default, tool_parser
 
-_CHOICES = (*SERVICES, SENSORS)
+_CHOICES = (*SERVICES, SENSORS, ROS2)
 _PROG = "camber log_level"
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
 _LONGEST_S = 86_400.0  # chosen: a forgotten debug level ends within a day

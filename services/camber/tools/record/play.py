@@ -26,7 +26,7 @@ from camber.runtime.query import QueryClient
 from camber.runtime.raw_subscription import RawSubscription
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
-from camber.schemas.channels import BY_NAME, SENSORS, Channel
+from camber.schemas.channels import BY_NAME, ROS2, SENSORS, Channel
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS, number_from
 from camber.tools.options.parsers import add_with_default, tool_parser
@@ -106,7 +106,7 @@ def check_no_producer(
     """Raise PlaybackError where one of these producers declares liveliness, or publishes within a second."""
     with QueryClient(settings, timeout_s=timeout_s) as asker:
         alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
-    there = {"vehicle" if name == SENSORS else name for name in alive} & set(producers)
+    there = {"vehicle" if name in (SENSORS, ROS2) else name for name in alive} & set(producers)
     if not there:  # a program that is not a Camber service declares no liveliness
         played = [channel for channel in channels if set(channel.producers) & set(producers)]
         with RawSubscription(settings, played, timeout_s=timeout_s) as tap:
