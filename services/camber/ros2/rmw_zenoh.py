@@ -2,7 +2,8 @@
 
 Source: ros2/rmw_zenoh, docs/design.md ("Topic and Service name mapping", "Graph Cache"), rmw_zenoh_cpp/src/detail/
 liveliness_utils.cpp, attachment_helpers.cpp, qos.cpp and rmw_publisher_data.cpp. Jazzy has had this format since 0.2.4.
-Humble's messages have no hashes: its keys end in `TypeHashNotSupported`, the rest is the same.
+Humble's messages have no hashes: its keys end in `TypeHashNotSupported`, the rest is the same, 16 bytes of identifier
+too (ros2/rmw_zenoh, pull request 388).
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class Ros2Service(Service[Ros2Settings]):
         self._position: Position | None = None
         self._facts: dict[str, str] = {}
         self._diagnosed_s = -math.inf
-        self._reported_silent: frozenset[str] = frozenset()
+        self._silent: frozenset[str] = frozenset()  # topics with a publisher
         self._publishers = self._advertised()
         self._sensors = self._subscribed()
         self._given_s = {topic.name: time.monotonic() for topic, _ in self._sensors}
@@ -133,15 +133,15 @@ class Ros2Service(Service[Ros2Settings]):
         for topic, subscription in self._sensors:
             self._take_sensor(topic, subscription, now_ns)
         self._select_poses(now_ns)
-        self._report_silent()
         self._publish("fix", self._fix.due(now_ns))
         if time.monotonic() - self._diagnosed_s >= _DIAGNOSTICS_EVERY_S:
             self._diagnosed_s = time.monotonic()
+            self._report_silent()
             self._publish("diagnostics", self._diagnostics(now_ns))
 
     def healthy(self) -> bool:
         """Does every topic that has a publisher give something?"""
-        return not self._silent()
+        return not self._silent
 
     def facts(self) -> dict[str, str]:
         """Origin of `map`, and settings of lever arms by tf_static."""
@@ -244,23 +244,24 @@ class Ros2Service(Service[Ros2Settings]):
             self._position if fresh else None, services, facts, now_ns=now_ns, vehicle=self.settings.vehicle
         )
 
-    def _silent(self) -> frozenset[str]:
-        since_s = time.monotonic() - self.settings.inputs.silence_s
-        silent = [topic.name for topic, _ in self._sensors if self._given_s[topic.name] < since_s]
-        return frozenset(name for name in silent if self._graph.publishers_of(name))
-
     def _report_silent(self) -> None:
-        silent = self._silent()
+        now_s, silent = time.monotonic(), set[str]()
         for topic, subscription in self._sensors:
-            if topic.name not in silent - self._reported_silent:
+            publishers = self._graph.publishers_of(topic.name)
+            if not publishers:
+                self._given_s[topic.name] = now_s
+            if now_s - self._given_s[topic.name] <= self.settings.inputs.silence_s:
+                continue
+            silent.add(topic.name)
+            if topic.name in self._silent:
                 continue
             expected = subscription.topic.dds_type, subscription.topic.type_hash
-            others = {publisher[1:] for publisher in self._graph.publishers_of(topic.name)} - {expected}
+            others = {publisher[1:] for publisher in publishers} - {expected}
             text = f"{topic.name}: nothing usable for {self.settings.inputs.silence_s:g} s"
             if others:
                 text += f"; published as {' '.join(min(others))}, expected {' '.join(expected)}"
             self.bus.issue("ros_topic_silent", text)
-        self._reported_silent = silent
+        self._silent = frozenset(silent)
 
 
 SERVICE = Ros2Service

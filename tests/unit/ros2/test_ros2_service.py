@@ -83,12 +83,16 @@ def test_a_topic_that_nobody_publishes_is_no_fault(monkeypatch: pytest.MonkeyPat
 
 def test_a_silent_publisher_is_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
     running = Running(monkeypatch)
+    running.go(10.0)
     running.session.changed(DRIVER.format(ODOMETRY, ODOMETRY_HASH), True)
     running.go(1.5)
     assert running.bus.issues == []
-    running.go(3.0)
+    running.go(5.0)
     assert not running.service.healthy()
     assert running.bus.issues == [("ros_topic_silent", "/odom: nothing usable for 2 s")]
+    running.session.changed(DRIVER.format(ODOMETRY, ODOMETRY_HASH), False)
+    running.go(1.5)
+    assert running.service.healthy()
 
 
 @pytest.mark.parametrize(
@@ -99,7 +103,7 @@ def test_a_publisher_of_another_type_or_distribution_is_named(
 ) -> None:
     running = Running(monkeypatch)
     running.session.changed(DRIVER.format(kind, type_hash), True)
-    running.go(3.0)
+    running.go(5.0)
     assert f"published as {kind} {type_hash}, expected {ODOMETRY} {ODOMETRY_HASH}" in running.bus.text(
         "ros_topic_silent"
     )
