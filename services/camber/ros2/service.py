@@ -58,7 +58,9 @@ class Ros2Service(Service[Ros2Settings]):
 
     def __init__(self, settings: Ros2Settings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._session = RawSession(ZenohSettings(connect=settings.router), bus.wake)
+        bus.log.info("joins_the_graph", router=settings.router)  # a client waits for its router
+        zenoh = ZenohSettings(mode=settings.mode, connect=settings.router)
+        self._session = RawSession(zenoh, bus.wake)
         node = GraphNode(
             domain_id=settings.domain_id, session_id=self._session.session_id, name=settings.node
         )
@@ -201,6 +203,7 @@ class Ros2Service(Service[Ros2Settings]):
                 if message is not None:
                     self.bus.publish(topic.channel, message)
         counts = {**topic.counts, "lost": subscription.lost, "dropped": subscription.received.dropped}
+        counts["refused"] = subscription.refused
         for what, n in counts.items():
             name = f"ros.{topic.channel}.{what}"
             self.bus.count(name, n - self.bus.counters[name])

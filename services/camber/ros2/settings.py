@@ -104,6 +104,9 @@ class Ros2Settings(ServiceSettings):
         0.02, gt=0.0, le=0.2, description="longest time between two rounds of the work loop"
     )
     router: list[str] = Field(["tcp/127.0.0.1:7447"], description="endpoints of the router of the ROS graph")
+    mode: Literal["peer", "client"] = Field(
+        "peer", description="role in the graph; client where the router is on another machine"
+    )
     domain_id: int = Field(0, ge=0, le=232, description="ROS_DOMAIN_ID of the graph")
     distribution: Literal["jazzy", "humble"] = Field(
         "jazzy", description="jazzy: also all later; humble: types without hashes"

@@ -50,7 +50,7 @@ class BoundedSubscription:
 
 
 class RawSession:
-    """Joins as a peer without waiting for the router, which is tried again for ever. Raises BusError.
+    """A peer does not wait for its router, a client does; both try again for ever. Raises BusError.
 
     `wake` is called in the receiving thread after each message.
     """

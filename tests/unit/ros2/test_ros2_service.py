@@ -48,6 +48,8 @@ class Session:
 
 
 class RosBus(FakeBus):
+    log = SimpleNamespace(info=lambda event, **values: None)
+
     def wake(self) -> None: ...
 
     def is_alive(self, name: str) -> bool:
