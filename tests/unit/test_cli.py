@@ -174,6 +174,7 @@ def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> N
     [
         ("numba", "gnss", "camber[engine]"),
         ("rosbags", "import", "camber[ros]"),
+        ("xxhash", "ros2", "camber[ros]"),
         ("cryptography", "doctor", "a full installation of Camber, not with a single service's image"),
     ],
 )
