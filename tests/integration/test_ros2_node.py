@@ -41,7 +41,8 @@ from support.running import (
     wait_until,
 )
 
-DOMAIN = 42
+pytestmark = [pytest.mark.timed, pytest.mark.slow]
+
 GPS_AHEAD_S = 18  # of UTC
 UNIX_OF_GPS_EPOCH_S = 315_964_800
 STORE = get_typestore(Stores.ROS2_JAZZY)
