@@ -10,7 +10,7 @@ from figure import Figure, higher, per_call_us
 from pyubx2 import UBXReader
 
 from camber.formats.observations import ObservationEpoch, satellite_number, signal_number
-from camber.formats.ubx.rawx_reader import RawxEpoch
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.writer import format_raw_measurements
 
@@ -50,7 +50,7 @@ def decoded(data: bytes) -> list[ObservationEpoch]:
     """Of a stream that comes in pieces of 4096 bytes."""
     decoder = UbxDecoder("benchmark")
     results = [result for at in range(0, len(data), 4096) for result in decoder.feed(data[at : at + 4096])]
-    return [result.epoch for result in results if isinstance(result, RawxEpoch)]
+    return [result.epoch for result in results if isinstance(result, ReceiverEpoch)]
 
 
 def decoded_by_pyubx2(data: bytes) -> list[list[tuple[str, float, float, float, float]]]:

@@ -49,6 +49,7 @@ from camber.formats.rtcm.writer import (
     format_reference_station,
     rtcm_frame,
 )
+from camber.formats.sbf.reader import SbfDecoder
 from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.subframe_schedule import subframes_between
@@ -92,6 +93,19 @@ from support.messages import build, message_classes
 from support.opendrive_maps import opendrive_bytes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 from support.ros_bags import MAKERS, point_cloud2_bytes
+from support.sbf_blocks import (
+    END_OF_PVT,
+    GAL_AUTH_STATUS,
+    GPS_ION,
+    POS_COV_GEODETIC,
+    PVT_GEODETIC,
+    Tracked,
+    ephemeris_block,
+    meas_epoch,
+    rf_status,
+    sbf_block,
+    sbf_frame,
+)
 from support.small_map import surface, surfaces
 
 START_NS = 1_400_000_000 * 1_000_000_000
@@ -215,19 +229,76 @@ def _navigation_epoch(random: Random, solution: ReceiverSolution) -> list[bytes]
     ]
 
 
+def _sbf(random: Random) -> list[list[bytes]]:
+    """Number and body of each block: measurements, ephemerides, positions, integrity reports."""
+    rng = np.random.default_rng(random.getrandbits(32))
+    streams = []
+    for solutions in (_solutions(random) for _ in range(8)):
+        frames = [
+            ephemeris_block(
+                random_ephemeris(rng, name, TOE_NS + (GPS_MINUS_BDT_NS if name[0] == "C" else 0)), TOE_NS
+            )
+            for name in ("E11", "C19", "C45")
+        ]
+        for solution in solutions:
+            frames += [
+                meas_epoch(solution.time_ns, _tracked_satellites(random)),
+                *_pvt_blocks(random, solution),
+            ]
+        streams.append([frame[4:6] + frame[8:] for frame in frames])
+    return streams
+
+
+def _tracked_satellites(random: Random) -> dict[int, list[Tracked]]:
+    """Of several systems, each with up to three signals."""
+
+    def signal(number: int, code_mm: int) -> Tracked:
+        phase, doppler = random.randrange(-8_000_000, 8_000_000), random.randrange(-900_000, 900_000)
+        return Tracked(signal=number, code_mm=code_mm, phase_mcycles=phase, doppler_tmhz=doppler)
+
+    numbers = {5: (0, 2, 3), 81: (17, 20, 21), 45: (8, 11), 150: (28, 30, 34), 182: (6, 32)}
+    return {
+        svid: [signal(number, 0 if k else 22_000_000_000) for k, number in enumerate(signals)]
+        for svid, signals in numbers.items()
+    }
+
+
+def _pvt_blocks(random: Random, solution: ReceiverSolution) -> list[bytes]:
+    time_ns, covariance = solution.time_ns, {"Cov_latlat": 4e-4, "Cov_lonlon": 4e-4, "Cov_hgthgt": 1e-3}
+    position = {
+        "Latitude": solution.latitude_rad,
+        "Longitude": solution.longitude_rad,
+        "Height": solution.height_m,
+    }
+    masks = {"GalActiveMask": random.getrandbits(36), "GalAuthenticMask": random.getrandbits(36)}
+    return [
+        sbf_block(PVT_GEODETIC, time_ns, Mode=random.choice((1, 4, 5)), NrSV=20, AlertFlag=1, **position),
+        sbf_block(POS_COV_GEODETIC, time_ns, Mode=4, **covariance),
+        rf_status(time_ns, [(1_575_420_000, 100, random.randrange(16))], flags=random.randrange(4)),
+        sbf_block(GAL_AUTH_STATUS, time_ns, OSNMAStatus=6, **masks),
+        sbf_block(GPS_ION, time_ns, PRN=5, alpha_0=2.0**-30, beta_0=2.0**11),
+        sbf_block(END_OF_PVT, time_ns),
+    ]
+
+
+def _sbf_block(content: bytes) -> bytes:
+    number = int.from_bytes(content[:2], "little")
+    return sbf_frame(number & 0x1FFF, content[2:], revision=number >> 13)
+
+
 def _ubx_message(content: bytes) -> bytes:
     if len(content) < 2:
         raise ValueError("no class and id")
     return ubx_frame(content[0], content[1], content[2:])
 
 
-_SEALS = (_ubx_message, _nmea_sentence, rtcm_frame)
+_SEALS = (_ubx_message, _nmea_sentence, rtcm_frame, _sbf_block)
 
 
 def _mixed(random: Random) -> list[list[bytes]]:
     """The number of the protocol precedes each content."""
     streams = []
-    for several in zip(_ubx(random), _nmea(random), _rtcm(random), strict=True):
+    for several in zip(_ubx(random), _nmea(random), _rtcm(random), _sbf(random), strict=True):
         contents = [bytes([kind]) + part for kind, parts in enumerate(several) for part in parts]
         random.shuffle(contents)
         streams.append(contents)
@@ -591,6 +662,7 @@ DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
     Target("ubx", _ubx, stream=lambda: UbxDecoder("fuzz", START_NS), sealed=_ubx_message),
+    Target("sbf", _sbf, stream=lambda: SbfDecoder("fuzz"), sealed=_sbf_block),
     Target("mixed", _mixed, stream=lambda: MixedDecoder("fuzz", START_NS), sealed=_mixed_frame),
     Target("pos", _pos, stream=lambda: PosDecoder("fuzz")),
     Target("rinex", _rinex, stream=lambda: RinexDecoder("fuzz")),

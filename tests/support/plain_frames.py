@@ -1,23 +1,30 @@
 """A second, slow search for frames in a stream, byte by byte as the documents say it: the oracle of `FrameBuffer`.
 
 Sources: u-blox ZED-F9P, interface description (UBX-18010854), 3.2 and 3.4; NMEA 0183 v4.11, 5.3: `$`, printable
-characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q.
+characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q; Septentrio
+mosaic-X5 reference guide, 4.1.1: `$@`, CRC-CCITT of what follows, id, length of the whole frame, a multiple of four.
 """
 
 from __future__ import annotations
 
 import re
+from binascii import crc_hqx
 
 from camber.formats.broadcast.bit_fields import crc24q
 from camber.formats.receiver.frame_buffer import Frame, FrameProtocol
-from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frame_search import MAX_SBF_BYTES, MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.rtcm.writer import PREAMBLE
 from camber.formats.ubx.writer import SYNC, checksum
 
 _UBX_HEAD, _UBX_FRAMING = 6, 8
 _RTCM_HEAD, _RTCM_FRAMING = 3, 6
 # At the end of the bytes a first character alone may be a beginning.
-_BEGINNINGS = {"ubx": rb"\xb5(?:\x62|\Z)", "nmea": rb"\$", "rtcm": rb"\xd3(?:[\x00-\x03]|\Z)"}
+_BEGINNINGS = {
+    "ubx": rb"\xb5(?:\x62|\Z)",
+    "nmea": rb"\$",
+    "rtcm": rb"\xd3(?:[\x00-\x03]|\Z)",
+    "sbf": rb"\$(?:@|\Z)",
+}
 _SENTENCE_END = re.compile(rb"[^\x20-\x23\x25-\x7e]")
 _LOOKS_LIKE_A_SENTENCE = re.compile(rb"\$[A-Z]{2}")
 
@@ -33,6 +40,7 @@ class PlainFrameBuffer:
         self._buffer = bytearray()
         self._buffer_offset = 0
         self._beginning = re.compile(b"|".join(_BEGINNINGS[protocol] for protocol in protocols), re.DOTALL)
+        self._protocols = protocols
         self._ignored = b"\r\n" if "nmea" in protocols else b""
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -53,6 +61,7 @@ class PlainFrameBuffer:
             place = start
             if match is None:
                 break
+            protocol = self._protocol(start)
             size = self._size(start, last=last)
             if size is None:
                 break
@@ -61,28 +70,30 @@ class PlainFrameBuffer:
             if size < 0:
                 self._skip(data)
             else:
-                frames.append(
-                    Frame(protocol=_PROTOCOL_OF[data[0]], data=data, byte_offset=self._buffer_offset + start)
-                )
+                frames.append(Frame(protocol=protocol, data=data, byte_offset=self._buffer_offset + start))
         self._buffer_offset += place
         del buffer[:place]
         return frames
 
+    def _protocol(self, start: int) -> FrameProtocol:
+        """Return the protocol of a beginning; a dollar sign alone may be either."""
+        if self._buffer[start] != ord("$"):
+            return _PROTOCOL_OF[self._buffer[start]]
+        is_sbf = self._buffer[start + 1 : start + 2] == b"@" and "sbf" in self._protocols
+        return "sbf" if is_sbf or "nmea" not in self._protocols else "nmea"
+
     def _size(self, start: int, *, last: bool) -> int | None:
         """Return the size of the frame, negative for bytes to skip, None for an incomplete frame."""
-        protocol = _PROTOCOL_OF[self._buffer[start]]
+        protocol = self._protocol(start)
         if protocol == "nmea":
             return self._sentence_size(start, last=last)
         head, framing, most, false_start = _BINARY[protocol]
         left = len(self._buffer) - start
         if left < head:
             return -min(left, false_start) if last else None
-        length = (
-            int.from_bytes(self._buffer[start + 4 : start + 6], "little")
-            if protocol == "ubx"
-            else int.from_bytes(self._buffer[start + 1 : start + 3], "big")
-        )
-        if length > most:
+        at, order = {"ubx": (4, "little"), "rtcm": (1, "big"), "sbf": (6, "little")}[protocol]
+        length = int.from_bytes(self._buffer[start + at : start + at + 2], order)
+        if length > most or (protocol == "sbf" and (length < head or length % 4)):
             return -false_start
         size = framing + length
         if left < size:
@@ -107,15 +118,18 @@ class PlainFrameBuffer:
         self.bytes_skipped += len(data) - sum(data.count(byte) for byte in self._ignored)
 
 
-_PROTOCOL_OF: dict[int, FrameProtocol] = {SYNC[0]: "ubx", ord("$"): "nmea", PREAMBLE: "rtcm"}
+_PROTOCOL_OF: dict[int, FrameProtocol] = {SYNC[0]: "ubx", PREAMBLE: "rtcm"}
 # Bytes before the length is known, bytes around the content, its greatest length, what a false beginning costs.
 _BINARY = {
     "ubx": (_UBX_HEAD, _UBX_FRAMING, MAX_UBX_PAYLOAD_BYTES, len(SYNC)),
     "rtcm": (_RTCM_HEAD, _RTCM_FRAMING, 1023, 1),
+    "sbf": (8, 0, MAX_SBF_BYTES, 1),
 }
 
 
 def _is_right(protocol: FrameProtocol, frame: bytes) -> bool:
     if protocol == "ubx":
         return checksum(frame[2:-2]) == frame[-2:]
+    if protocol == "sbf":
+        return crc_hqx(frame[4:], 0) == int.from_bytes(frame[2:4], "little")
     return crc24q(frame[:-3]) == int.from_bytes(frame[-3:], "big")

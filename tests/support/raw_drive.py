@@ -1,4 +1,4 @@
-"""Raw observations of a simulated drive in the open: as RINEX, as UBX with RTCM, by epoch; and where its antenna is."""
+"""Raw observations of a simulated drive in the open: as RINEX, UBX, SBF, RTCM, by epoch; where its antenna is."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.observation_files import read_observation_file
 from camber.schemas.gnss import Fix
 from support.running import camber
+from support.sbf_drive import sbf_of_ubx
 
 DURATION_S, RATE_HZ = 6, 10
 
@@ -29,6 +30,9 @@ class RawDrive:
         _, _, parts = read_observation_file(folder / "rover.ubx", None)
         self.times_ns = [part.time_ns for part in parts]
         self.ubx_parts = [part.payload for part in parts]
+        (folder / "rover.sbf").write_bytes(sbf_of_ubx((folder / "rover.ubx").read_bytes(), self.times_ns[0]))
+        _, _, parts = read_observation_file(folder / "rover.sbf", None)
+        self.sbf_parts = [part.payload for part in parts]
         _, _, parts = read_observation_file(folder / "base.rtcm", self.times_ns[0])
         self.rtcm_parts = [part.payload for part in parts]
         self.rover_header, self.rover_rinex_parts = self._rinex("rover.obs")

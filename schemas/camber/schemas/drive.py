@@ -87,7 +87,7 @@ class ReceiverFile(Model):
 class RawObservations(Model):
     """Raw observations for Camber's own engine; each file may be packed with gzip."""
 
-    rover_obs: File = Field(description="observations of the vehicle's antenna (RINEX, UBX or RTCM 3)")
+    rover_obs: File = Field(description="observations of the vehicle's antenna (RINEX, UBX, SBF or RTCM 3)")
     rover_arrivals: File | None = Field(
         None, description="CSV file that says when each part of rover_obs arrived"
     )

@@ -31,7 +31,7 @@ from camber.schemas.base import (
 
 Known = Literal["yes", "no", "unknown"]
 Quality = Literal["fixed", "float", "dgps", "single", "ppp", "sbas", "estimated", "none"]
-Protocol = Literal["pos", "nmea", "ubx", "rtcm", "rinex", "mixed"]
+Protocol = Literal["pos", "nmea", "ubx", "sbf", "rtcm", "rinex", "mixed"]
 """`mixed`: frames and sentences of several protocols, one after another."""
 Stream = Literal["rover", "base", "ephemerides"]
 SubsetAgreement = Literal["agree", "disagree", "unknown"]

@@ -1,4 +1,4 @@
-"""Satellite observations and broadcast ephemerides of RINEX, RTCM and UBX, independent of the format.
+"""Satellite observations and broadcast ephemerides of RINEX, RTCM, UBX and SBF, independent of the format.
 
 Satellites are `system letter × 256 + number` as in `camber.schemas.gnss.Observations` (QZSS: J and the RINEX number,
 J01 is PRN 193); signals are the two characters of RINEX 3 (`1C`) as ASCII, first × 256 + second. Times are GPS time

@@ -260,9 +260,9 @@ class GnssService(Service[GnssSettings]):
         if what not in self._left_out:
             self._left_out.add(what)
             expected = (
-                "observations or ephemerides: ubx, rtcm, mixed or rinex"
+                "observations or ephemerides: ubx, sbf, rtcm, mixed or rinex"
                 if self._solves
-                else "the receiver's positions: rover.pos, .nmea, .ubx or .mixed; or positions = engine"
+                else "the receiver's positions: rover.pos, .nmea, .ubx, .sbf or .mixed; or positions = engine"
             )
             self.bus.issue("stream_not_used", f"{what}: expected {expected}")
         self.bus.count(f"not_used.{what}")

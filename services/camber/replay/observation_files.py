@@ -2,6 +2,7 @@
 
 RINEX 3 and 4: a header, then a block from each `>` to the next (IGS/RTCM, "RINEX", 3.04, table A3). UBX: frames up to
 the last of an epoch that has a time: RXM-RAWX, and NAV messages with a time of week (u-blox UBX-18010854, 3.15, 3.17).
+SBF: blocks up to the last of MeasEpoch and the position's of one time (Septentrio mosaic-X5 reference guide, 4.1.3).
 RTCM 3: frames up to the last MSM of an epoch (RTCM 10403.3, 3.5.16.2). What carries no time goes with the epoch after
 it, in RINEX with that before it.
 """
@@ -20,10 +21,12 @@ from camber.formats.errors import FormatError
 from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rtcm.msm_reader import is_msm
+from camber.formats.sbf.block_time import block_time_ns
+from camber.formats.sbf.reader import MEAS_EPOCH, PVT_BLOCKS, block_number
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
 from camber.replay.arrivals import TimedBytes
 
-RawProtocol = Literal["rinex", "ubx", "rtcm"]
+RawProtocol = Literal["rinex", "ubx", "sbf", "rtcm"]
 
 _END_OF_HEADER = re.compile(rb"^.{60}END OF HEADER[^\n]*\n", re.MULTILINE)
 _FIRST_EPOCH = re.compile(rb"^.{48}(...).{9}TIME OF FIRST OBS", re.MULTILINE)
@@ -48,6 +51,7 @@ _GLONASS, _BEIDOU = 108, 112  # an MSM's number without its last digit
 _EXPECTED_EPOCHS = {
     "rinex": "at least one, from a line '> yyyy mm dd …'",
     "ubx": "at least one RXM-RAWX",
+    "sbf": "at least one MeasEpoch",
     "rtcm": "at least one MSM",
 }
 
@@ -72,7 +76,10 @@ def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol,
             expected = "another file of the drive that gives the date: RTCM 3 does not"
             raise FormatError(path.name, "week", expected)
         frames = _frames(data)
-        marks = _ubx_marks(frames) if protocol == "ubx" else _rtcm_marks(frames, near_ns or 0)
+        if protocol == "rtcm":
+            marks = _rtcm_marks(frames, near_ns or 0)
+        else:
+            marks = _ubx_marks(frames) if protocol == "ubx" else _sbf_marks(frames)
         header, epochs = b"", _cut(data, 0, marks)
     if not epochs:
         raise FormatError(path.name, "epochs", _EXPECTED_EPOCHS[protocol])
@@ -85,8 +92,9 @@ def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
     if data[60:80].startswith(b"RINEX VERSION"):
         return "rinex", data
     for frame in _frames(data):
-        return ("ubx" if frame.protocol == "ubx" else "rtcm"), data
-    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX or RTCM 3", actual=data[:20])
+        if frame.protocol != "nmea":
+            return frame.protocol, data
+    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX, SBF or RTCM 3", actual=data[:20])
 
 
 def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
@@ -129,8 +137,8 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
 
 
 def _frames(data: bytes) -> Iterator[Frame]:
-    """All UBX and RTCM 3 frames whose checksums are right."""
-    buffer = FrameBuffer("ubx", "rtcm")
+    """All UBX, SBF and RTCM 3 frames whose checksums are right."""
+    buffer = FrameBuffer("ubx", "sbf", "rtcm")
     for start in range(0, len(data), _CHUNK_BYTES):
         yield from buffer.feed(data[start : start + _CHUNK_BYTES])
     yield from buffer.finish()
@@ -152,6 +160,22 @@ def _ubx_marks(frames: Iterable[Frame]) -> Iterator[tuple[int, int]]:
             of_week_ms = int.from_bytes(payload[at : at + 4], "little")
             if len(payload) >= at + 4 and of_week_ms < _MS_PER_WEEK:
                 yield end, gps_ns_near("G", of_week_ms * 1_000_000, near_ns)
+
+
+def _sbf_marks(frames: Iterable[Frame]) -> Iterator[tuple[int, int]]:
+    """Blocks of positions from the first MeasEpoch on, as with UBX."""
+    observed = False
+    for frame in frames:
+        number = block_number(frame.data) if frame.protocol == "sbf" else None
+        observed |= number == MEAS_EPOCH
+        if not observed or number not in (MEAS_EPOCH, *PVT_BLOCKS):
+            continue
+        try:
+            time_ns = block_time_ns(frame.data[8:])
+        except ValueError:
+            continue
+        if time_ns is not None:
+            yield frame.byte_offset + len(frame.data), time_ns
 
 
 def _rtcm_marks(frames: Iterable[Frame], near_ns: int) -> Iterator[tuple[int, int]]:

@@ -18,6 +18,7 @@ from camber.geodesy.gps_time import NS_PER_WEEK
 from camber.replay.observation_files import read_observation_file, read_raw_file
 from support.gnss_files import observation_text, recording
 from support.random_observations import COMMON, random_epoch
+from support.sbf_blocks import END_OF_PVT, GPS_NAV, PVT_GEODETIC, Tracked, meas_epoch, sbf_block, sbf_frame
 
 START_NS = 2410 * NS_PER_WEEK + 259_200_000_000_000
 STEP_NS = 100_000_000
@@ -62,6 +63,17 @@ def ubx_epoch(epoch, *, place: bool) -> list[bytes]:  # type: ignore[no-untyped-
     return [subframe, format_raw_measurements(epoch), *([solution, precise] if place else [])]
 
 
+def position_of_sbf(time_ns: int) -> bytes:
+    return sbf_block(PVT_GEODETIC, time_ns, Mode=4)
+
+
+def sbf_epoch(time_ns: int, *, place: bool) -> list[bytes]:
+    status, ephemeris = sbf_frame(4014, bytes(40)), sbf_block(GPS_NAV, time_ns - 30 * 10**9)
+    signals = {5: [Tracked(signal=0, code_mm=10**10, phase_mcycles=0, doppler_tmhz=0)]}
+    position = [position_of_sbf(time_ns), sbf_block(END_OF_PVT, time_ns)]
+    return [status, ephemeris, meas_epoch(time_ns, signals), *(position if place else [])]
+
+
 def test_rinex_has_a_header_and_a_block_an_epoch(tmp_path: Path) -> None:
     data = rinex()
     path = written(tmp_path, data)
@@ -98,18 +110,22 @@ def frames_of(kind: str) -> list[list[bytes]]:
     """The frames of each epoch."""
     if kind == "ubx":
         return [ubx_epoch(epoch, place=k != 2) for k, epoch in enumerate(epochs())]
+    if kind == "sbf":
+        return [sbf_epoch(epoch.time_ns, place=k != 2) for k, epoch in enumerate(epochs())]
     station = format_reference_station(ECEF_M, station_id=1)
     return [[station, *format_observations(epoch, station_id=1)] for epoch in epochs()]
 
 
-@pytest.mark.parametrize(("kind", "weeks"), [("ubx", 0.0), ("rtcm", -0.49), ("rtcm", 0.0), ("rtcm", 0.49)])
+@pytest.mark.parametrize(
+    ("kind", "weeks"), [("ubx", 0.0), ("sbf", 0.0), ("rtcm", -0.49), ("rtcm", 0.0), ("rtcm", 0.49)]
+)
 def test_frames_are_cut_after_the_last_one_of_an_epoch(tmp_path: Path, kind: str, weeks: float) -> None:
     parts = [b"".join(group) for group in frames_of(kind)]
     data = b"".join(parts)
     path = written(tmp_path, data)
     assert read_raw_file(path)[0] == kind
     near_ns = START_NS + round(weeks * NS_PER_WEEK)
-    assert check_cut(path, data, TIMES_NS, None if kind == "ubx" else near_ns) == parts
+    assert check_cut(path, data, TIMES_NS, near_ns if kind == "rtcm" else None) == parts
 
 
 def test_ubx_between_sentences_and_with_a_broken_frame_loses_no_byte(tmp_path: Path) -> None:
@@ -143,9 +159,10 @@ def test_rtcm_without_a_date_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
-        (b"", "rover.raw: format is '', expected RINEX 3 or 4, UBX or RTCM 3"),
+        (b"", "rover.raw: format is '', expected RINEX 3 or 4, UBX, SBF or RTCM 3"),
         (b"\xb5\x62\xd3\x00", "rover.raw: format is "),
         (ubx_frame(0x01, 0x07, bytes(92)), "rover.raw: epochs, expected at least one RXM-RAWX"),
+        (position_of_sbf(START_NS), "rover.raw: epochs, expected at least one MeasEpoch"),
         (format_reference_station(ECEF_M, station_id=1), "rover.raw: epochs, expected at least one MSM"),
         (rinex().replace(b"     3.04", b"     2.11"), "rover.raw: version is"),
         (rinex().replace(b"OBSERVATION DATA", b"NAVIGATION DATA "), "rover.raw: version is"),
@@ -161,7 +178,7 @@ def test_what_cannot_be_cut_is_one_line(tmp_path: Path, data: bytes, expected: s
     assert str(caught.value).startswith(expected)
 
 
-@pytest.mark.parametrize("kind", ["rinex", "ubx", "rtcm"])
+@pytest.mark.parametrize("kind", ["rinex", "ubx", "sbf", "rtcm"])
 def test_damage_raises_nothing_but_format_errors_and_loses_no_byte(tmp_path: Path, kind: str) -> None:
     sound = rinex() if kind == "rinex" else b"".join(b"".join(group) for group in frames_of(kind))
     rng = random.Random(11)

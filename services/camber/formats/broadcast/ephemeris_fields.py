@@ -111,6 +111,8 @@ _SISA_M = (
     *(2.00 + 0.16 * n for n in range(26)),
 )
 _NO_SISA = 255  # same table
+# √m; derivation: √ of the Earth's radius is 2526, so an orbit below is impossible (satellites that send zeros).
+_MIN_SQRT_A = 2600.0
 
 
 def system_week(system: str, time_ns: int) -> tuple[int, int]:
@@ -198,6 +200,18 @@ def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: i
         other=other,
         **{name: values.get(name, math.nan) for name in _attributes(fields) if name != "iode"},
     )
+
+
+def plausible_ephemeris(system: str, integers: Mapping[str, int], near_ns: int) -> Ephemeris:
+    """Return `ephemeris_from_integers`; ValueError for times after the end of the week, and orbits inside the Earth."""
+    fields = FIELDS[system]
+    for time in ("toe_s", "toc_s"):
+        if integers[time] * fields[time].resolution * NS_PER_SECOND >= NS_PER_WEEK:
+            raise ValueError(f"{time} is after the end of the week")
+    ephemeris = ephemeris_from_integers(system, integers, near_ns)
+    if ephemeris.sqrt_a < _MIN_SQRT_A:
+        raise ValueError(f"square root of the semi-major axis is {ephemeris.sqrt_a}")
+    return ephemeris
 
 
 def _attributes(fields: Mapping[str, BitField]) -> list[str]:

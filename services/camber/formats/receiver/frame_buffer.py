@@ -1,7 +1,8 @@
-"""Whole messages of a stream in which UBX, NMEA 0183 and RTCM 3 may be interleaved, with garbage between them.
+"""Whole messages of a stream in which UBX, NMEA 0183, RTCM 3 and SBF may be interleaved, with garbage between them.
 
 Sources: u-blox ZED-F9P, interface description (UBX-18010854), 3.2 and 3.4; NMEA 0183 v4.11, 5.3: `$`, printable
-characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q.
+characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q; Septentrio
+mosaic-X5 reference guide, 4.1.1: `$@`, CRC-CCITT, id, length.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ import numpy as np
 
 from camber.formats.receiver.frame_search import find_frames
 
-FrameProtocol = Literal["ubx", "nmea", "rtcm"]
+FrameProtocol = Literal["ubx", "nmea", "rtcm", "sbf"]
 # In the order of their numbers in `frame_search`.
-_PROTOCOLS: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm")
+_PROTOCOLS: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm", "sbf")
 _CHUNK_BYTES = 1 << 16  # chosen: bounds the memory of the search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """UBX and RTCM: a whole message with its framing and a correct checksum. NMEA: a candidate sentence."""
+    """UBX, RTCM and SBF: a whole message with its framing and a correct checksum. NMEA: a candidate sentence."""
 
     protocol: FrameProtocol
     data: bytes
@@ -103,7 +104,7 @@ class FramedDecoder(ABC, Generic[R]):
 
     @property
     def failed_checks(self) -> int:
-        """Frames of UBX or RTCM with a wrong checksum."""
+        """Frames of UBX, RTCM or SBF with a wrong checksum."""
         return sum(self._frames.failed_checks.values())
 
     def feed(self, data: bytes) -> list[R]:

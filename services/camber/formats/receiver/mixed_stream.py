@@ -1,4 +1,4 @@
-"""Decoder of a port that carries UBX, NMEA 0183 and RTCM 3, in any order and with garbage between them."""
+"""Decoder of a port that carries UBX, SBF, NMEA 0183 and RTCM 3, in any order and with garbage between them."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from datetime import date
 from camber.formats.nmea.epochs import NmeaDecoder, NmeaResult
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder, FrameProtocol
 from camber.formats.receiver.integrity_report import IntegrityReport
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rtcm.reader import RtcmDecoder, RtcmResult
-from camber.formats.ubx.rawx_reader import RawxEpoch
+from camber.formats.sbf.reader import SbfMessages, SbfResult
 from camber.formats.ubx.reader import UbxMessages, UbxResult
 
-MixedResult = UbxResult | NmeaResult | RtcmResult
+MixedResult = UbxResult | SbfResult | NmeaResult | RtcmResult
 
 
 class MixedDecoder(FramedDecoder[MixedResult]):
     """Passes the messages of each protocol to its decoder; the results are in the stream's order.
 
-    `near_ns` as for `UbxMessages` and `RtcmDecoder`; without it RTCM is decoded as soon as UBX or NMEA contain a date.
+    `near_ns` as for `UbxMessages` and `RtcmDecoder`; without it RTCM is decoded as soon as UBX, SBF or NMEA
+    contain a date.
     Protocols that are not in `protocols` are skipped like garbage.
-    Where UBX contains positions (NAV-PVT) or satellites (NAV-SAT), those of NMEA would be duplicates and are only
-    counted.
+    Where UBX or SBF contains positions (NAV-PVT, PVTGeodetic), or UBX satellites (NAV-SAT), those of NMEA would be
+    duplicates and are only counted.
     """
 
     def __init__(
@@ -31,19 +33,20 @@ class MixedDecoder(FramedDecoder[MixedResult]):
         near_ns: int | None = None,
         *,
         utc_date: date | None = None,
-        protocols: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm"),
+        protocols: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm", "sbf"),
     ) -> None:
         super().__init__(*protocols)
         self.source_name = source_name
         report = IntegrityReport()
         self.ubx = UbxMessages(near_ns, report)
+        self.sbf = SbfMessages(report)
         self.nmea = NmeaDecoder(source_name, utc_date=utc_date, report=report)
         self.rtcm = None if near_ns is None else RtcmDecoder(near_ns)
         """None while there is no date."""
         self.rtcm_without_time = 0
         """Messages of RTCM before there was a date."""
         self.positions_not_used = 0
-        """Positions of NMEA that UBX contains too."""
+        """Positions of NMEA that UBX or SBF contains too."""
         self.satellites_not_used = 0
         """Reports of satellites of NMEA that UBX contains too."""
 
@@ -53,12 +56,16 @@ class MixedDecoder(FramedDecoder[MixedResult]):
         return super().bytes_skipped + self.nmea.bytes_skipped
 
     def _end(self) -> list[MixedResult]:
-        results = self._update_time(self.ubx.finish()) + self._without_duplicates(self.nmea.finish())
+        results = self._update_time([*self.ubx.finish(), *self.sbf.finish()]) + self._without_duplicates(
+            self.nmea.finish()
+        )
         return results if self.rtcm is None else [*results, *self.rtcm.finish()]
 
     def _take(self, frame: Frame) -> list[MixedResult]:
         if frame.protocol == "ubx":
-            return self._update_time(self.ubx.take(frame.data))
+            return self._update_time([*self.ubx.take(frame.data)])
+        if frame.protocol == "sbf":
+            return self._update_time([*self.sbf.take(frame.data)])
         if frame.protocol == "nmea":
             return self._without_duplicates(self.nmea.take(frame.data, frame.byte_offset))
         if self.rtcm is None:
@@ -66,9 +73,9 @@ class MixedDecoder(FramedDecoder[MixedResult]):
             return []
         return [*self.rtcm.take(frame.data)]
 
-    def _update_time(self, results: list[UbxResult]) -> list[MixedResult]:
+    def _update_time(self, results: list[UbxResult | SbfResult]) -> list[MixedResult]:
         for result in results:
-            if isinstance(result, RawxEpoch):
+            if isinstance(result, ReceiverEpoch):
                 self._share_time(result.epoch.time_ns)
             elif isinstance(result, ReceiverSolution):
                 self._share_time(result.time_ns)
@@ -79,7 +86,7 @@ class MixedDecoder(FramedDecoder[MixedResult]):
         for result in results:
             if isinstance(result, ReceiverSolution):
                 self._share_time(result.time_ns)
-                if self.ubx.has_positions:
+                if self.ubx.has_positions or self.sbf.has_positions:
                     self.positions_not_used += 1
                     continue
             if isinstance(result, SatelliteReport) and self.ubx.has_satellites:

@@ -1,7 +1,8 @@
-"""A position solved by a receiver or another program, as `.pos` files, NMEA and UBX streams contain it."""
+"""A position solved by a receiver or another program, as `.pos` files, NMEA, UBX and SBF streams contain it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -10,6 +11,10 @@ from camber.geodesy.covariance import EnuCovariance
 
 Fields = dict[str, Any]
 """Fields of a `ReceiverSolution`, or of a `ReceiverIntegrity`, that one message of a receiver contains."""
+_MIN_HEIGHT_M, _MAX_HEIGHT_M = (
+    -20_000.0,
+    100_000.0,
+)  # chosen: far beyond vehicles, so that only damage exceeds them
 
 
 class SolutionQuality(IntEnum):
@@ -45,3 +50,17 @@ class ReceiverSolution:
     velocity_enu_m_s: tuple[float, float, float] | None = None
     velocity_covariance_enu_m2_s2: EnuCovariance | None = None
     station: str | None = None
+
+
+def checked_position(latitude_rad: float, longitude_rad: float, height_m: float) -> Fields:
+    """Return the position as fields of `ReceiverSolution`; ValueError for one that is not near the Earth."""
+    in_range = abs(latitude_rad) <= math.pi / 2 and abs(longitude_rad) <= math.pi
+    if not (in_range and _MIN_HEIGHT_M <= height_m <= _MAX_HEIGHT_M):
+        raise ValueError(f"position {latitude_rad} rad, {longitude_rad} rad, {height_m} m")
+    return {"latitude_rad": latitude_rad, "longitude_rad": longitude_rad, "height_m": height_m}
+
+
+def covariance_from_accuracies(horizontal_m: float, vertical_m: float) -> EnuCovariance:
+    """Return the covariance of a horizontal error √(σ_e² + σ_n²) and a σ_u: σ_e = σ_n, uncorrelated, is assumed."""
+    axis = 0.5 * horizontal_m * horizontal_m
+    return axis, 0.0, 0.0, axis, 0.0, vertical_m * vertical_m

@@ -18,7 +18,7 @@ from camber.formats.broadcast.beidou_d1_d2 import (
     decode_d2_page,
 )
 from camber.formats.broadcast.bit_fields import combine_parts
-from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
+from camber.formats.broadcast.ephemeris_fields import FIELDS, plausible_ephemeris
 from camber.formats.broadcast.galileo_inav import WORDS, decode_inav_page
 from camber.formats.broadcast.gps_lnav import BODIES, decode_lnav_subframe
 from camber.formats.broadcast.klobuchar_coefficients import (
@@ -37,8 +37,6 @@ _SYSTEMS = {gnss_id: letter for letter, gnss_id in GNSS_IDS.items()}
 # RINEX 3.04, table A8: I/NAV from E1-B and E5b, with the clock of E5b, E1.
 _INAV_SOURCE = 517.0
 _SECONDS_PER_WEEK = NS_PER_WEEK // NS_PER_SECOND
-# √m; derivation: √ of the Earth's radius is 2526, so an orbit below is impossible (satellites that send zeros).
-_MIN_SQRT_A = 2600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,12 +143,5 @@ class EphemerisAssembler:
 
     def _ephemeris(self, system: str, key: tuple[int, int], near_ns: int) -> Ephemeris:
         """Return the ephemeris of all parts of the satellite, and remove them."""
-        fields = FIELDS[system]
-        integers = combine_parts(self._parts.pop(key).values(), fields)
-        for time in ("toe_s", "toc_s"):
-            if integers[time] * fields[time].resolution >= _SECONDS_PER_WEEK:
-                raise ValueError(f"{time} is after the end of the week")
-        ephemeris = ephemeris_from_integers(system, {**integers, "satellite": key[0] & 255}, near_ns)
-        if ephemeris.sqrt_a < _MIN_SQRT_A:
-            raise ValueError(f"square root of the semi-major axis is {ephemeris.sqrt_a}")
-        return ephemeris
+        integers = combine_parts(self._parts.pop(key).values(), FIELDS[system])
+        return plausible_ephemeris(system, {**integers, "satellite": key[0] & 255}, near_ns)

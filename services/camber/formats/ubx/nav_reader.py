@@ -12,10 +12,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from camber.formats.receiver.reported_covariance import reported_covariance
 from camber.formats.receiver.satellite_report import SatelliteReport
-from camber.formats.receiver.solution import Fields, ReceiverSolution, SolutionQuality
+from camber.formats.receiver.solution import (
+    Fields,
+    ReceiverSolution,
+    SolutionQuality,
+    checked_position,
+    covariance_from_accuracies,
+)
 from camber.formats.ubx.gps_week import navigation_time_ns, resolve_week_rollover
 from camber.formats.ubx.satellite_reader import NavSatellites, read_satellites
 from camber.geodesy.covariance import EnuCovariance
@@ -75,7 +80,6 @@ AGES_S = (math.nan, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120
 # `fixType`: 3 is 3D, 4 GNSS with dead reckoning; 2, 2D, has an assumed height.
 _DEAD_RECKONING = 1
 _POSITION_TYPES = (_DEAD_RECKONING, 3, 4)
-_MIN_HEIGHT_M, _MAX_HEIGHT_M = -20_000.0, 100_000.0
 _Vector = tuple[float, float, float]
 
 
@@ -293,36 +297,20 @@ def _position(
 ) -> Fields:
     """Return latitude, longitude and height, with the covariance that `hAcc` and `vAcc` allow to assume.
 
-    `hAcc` is √(σ_e² + σ_n²) (checked against NAV-COV in recordings): σ_e and σ_n are assumed equal and uncorrelated.
-    All ones, and zero, which no receiver means, are unknown.
+    `hAcc` is √(σ_e² + σ_n²) (checked against NAV-COV in recordings). All ones, and zero, which no receiver means,
+    are unknown.
     """
-    latitude_deg, longitude_deg = coordinates[0] / per_degree, coordinates[1] / per_degree
-    height_m = coordinates[2] / per_m
-    in_range = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
-    if not (in_range and _MIN_HEIGHT_M <= height_m <= _MAX_HEIGHT_M):
-        raise ValueError(f"position {latitude_deg}°, {longitude_deg}°, {height_m} m")
+    position = checked_position(
+        math.radians(coordinates[0] / per_degree),
+        math.radians(coordinates[1] / per_degree),
+        coordinates[2] / per_m,
+    )
     covariance = None
     if all(0 < values[name] < UNKNOWN_ACCURACY for name in ("hAcc", "vAcc")):
-        horizontal_m, vertical_m = values["hAcc"] / per_m, values["vAcc"] / per_m
-        axis = 0.5 * horizontal_m * horizontal_m
-        covariance = axis, 0.0, 0.0, axis, 0.0, vertical_m * vertical_m
-    return {
-        "latitude_rad": math.radians(latitude_deg),
-        "longitude_rad": math.radians(longitude_deg),
-        "height_m": height_m,
-        "covariance_enu_m2": covariance,
-    }
+        covariance = covariance_from_accuracies(values["hAcc"] / per_m, values["vAcc"] / per_m)
+    return {**position, "covariance_enu_m2": covariance}
 
 
 def _enu_from_ned(covariance: list[float]) -> EnuCovariance | None:
-    """Rotate; None for all zeros; ValueError for no covariance, beyond the rounding of the message's floats."""
     nn, ne, nd, ee, ed, dd = covariance
-    matrix = np.array([[ee, ne, -ed], [ne, nn, -nd], [-ed, -nd, dd]])
-    trace = nn + ee + dd
-    if not (np.isfinite(matrix).all() and min(nn, ee, dd) >= 0.0 and trace < 1e18):
-        raise ValueError(f"covariance {covariance}")
-    if trace == 0.0:
-        return None
-    if np.linalg.eigvalsh(matrix)[0] < -1e-6 * trace:
-        raise ValueError(f"covariance {covariance} is not positive semidefinite")
-    return ee, ne, -ed, nn, -nd, dd
+    return reported_covariance((ee, ne, -ed, nn, -nd, dd))

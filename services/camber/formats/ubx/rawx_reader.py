@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Floats, Integers, ObservationEpoch
+from camber.formats.observations import Floats, ObservationEpoch
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
+from camber.formats.receiver.receiver_epoch import OmittedMeasurements, ReceiverEpoch, first_rows
 from camber.formats.ubx.gps_week import checked_time_ns, resolve_week_rollover
 from camber.formats.ubx.signal_ids import (
     GEOSTATIONARY_CYCLES,
@@ -36,26 +36,9 @@ _CLOCK_RESET = 0b10  # `recStat`
 _LOCK_RESOLUTION_S = 1e-3  # of `locktime`
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RawxEpoch:
-    """All observations of one epoch of the rover, and whether it has just reset its clock by whole ms."""
-
-    epoch: ObservationEpoch
-    clock_reset: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OmittedMeasurements:
-    """Number of measurements omitted: of unsupported systems, of unknown signals, repeated in the epoch."""
-
-    other_systems: int
-    unknown_signals: int
-    repeated: int
-
-
 def read_raw_measurements(
     payload: bytes, locks: LossOfLockDetector, near_ns: int | None
-) -> tuple[RawxEpoch, OmittedMeasurements]:
+) -> tuple[ReceiverEpoch, OmittedMeasurements]:
     """Decode versions 0 and 1; the time is the receiver's, rounded to ns.
 
     `near_ns` resolves a roll-over of the receiver's week (1024 weeks). A value that the receiver reports as invalid, or
@@ -83,7 +66,7 @@ def read_raw_measurements(
     known = supported & (signal > 0) & (number > 0) & (number <= MAX_NUMBER_OF_GNSS[gnss])
     satellite = SYSTEM_OF_GNSS[gnss] * 256 + number
     keys = (satellite << 16) + signal
-    used, repeated = _first_rows(known, keys)
+    used, repeated = first_rows(known, keys)
     omitted = OmittedMeasurements(
         other_systems=count - int(np.count_nonzero(supported)),
         unknown_signals=int(np.count_nonzero(supported & ~known)),
@@ -116,18 +99,9 @@ def read_raw_measurements(
         loss_of_lock=loss_of_lock,
         half_cycle=has_phase & ((status_bits & HALF_CYCLE_VALID) == 0),
     )
-    return RawxEpoch(epoch, bool(status & _CLOCK_RESET)), omitted
+    return ReceiverEpoch(epoch, bool(status & _CLOCK_RESET)), omitted
 
 
 def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:
     wide = values.astype(np.float64)
     return np.where(valid & np.isfinite(wide), wide, np.nan)
-
-
-def _first_rows(known: NDArray[np.bool_], keys: Integers) -> tuple[Integers, int]:
-    """Return the rows of known signals, the first of each, in order; and how many were repeated."""
-    used = np.flatnonzero(known)
-    if len(set(keys[used].tolist())) == used.size:
-        return used, 0
-    firsts = np.sort(np.unique(keys[used], return_index=True)[1])
-    return used[firsts], used.size - firsts.size

@@ -14,16 +14,17 @@ from camber.formats.observations import Ephemeris
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import JAMMING, IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.ubx import nav_reader as nav
 from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler, SubframeWords
 from camber.formats.ubx.gps_week import MS_PER_WEEK
-from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
+from camber.formats.ubx.rawx_reader import read_raw_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
 UbxResult = (
-    RawxEpoch
+    ReceiverEpoch
     | Ephemeris
     | IonosphereCoefficients
     | ReceiverSolution

@@ -14,19 +14,20 @@ from camber.formats.line_buffer import LineBuffer
 from camber.formats.nmea.epochs import NmeaDecoder
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.navigation_reader import NavigationDecoder, NavigationResult
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation, RtcmDecoder
-from camber.formats.ubx.rawx_reader import RawxEpoch
+from camber.formats.sbf.reader import SbfDecoder
 from camber.formats.ubx.reader import UbxDecoder
 from camber.gnss.observations.satellite_states import enu_from_ecef_rotation, geodetic
 from camber.schemas.gnss import ReceiverIntegrity
 
 Stream = Literal["rover", "base", "ephemerides"]
-StreamProtocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"]
+StreamProtocol = Literal["pos", "nmea", "ubx", "sbf", "rtcm", "mixed", "rinex"]
 _FIRST_LABEL = b"RINEX VERSION / TYPE"
 
 
@@ -103,7 +104,16 @@ def _ionosphere(file: NavigationDecoder) -> IonosphereCoefficients | None:
     return IonosphereCoefficients(system="G", alpha=known.alpha, beta=known.beta)
 
 
-Decoder = PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | RinexDecoder | NavigationFiles
+Decoder = (
+    PosDecoder
+    | NmeaDecoder
+    | UbxDecoder
+    | SbfDecoder
+    | RtcmDecoder
+    | MixedDecoder
+    | RinexDecoder
+    | NavigationFiles
+)
 
 
 class StreamReader:
@@ -141,13 +151,13 @@ class StreamReader:
     def damage(self) -> dict[str, int]:
         """Counts of unusable parts of the stream so far, by the decoders' names of the fault, without zeros."""
         decoder = self._decoder
-        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "nmea", "rtcm")]
+        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "sbf", "nmea", "rtcm")]
         counts = {name: getattr(decoder, name, 0) for name in _FRAMING}
         counts |= {name: sum(getattr(part, name, 0) for part in (decoder, *inside)) for name in _CONTENT}
         return {name: count for name, count in counts.items() if count}
 
     def _items(self, result: object) -> list[StreamItem]:
-        if isinstance(result, RawxEpoch):
+        if isinstance(result, ReceiverEpoch):
             return [(self._stream, result.epoch)]
         if isinstance(result, BaseStationEpoch):
             return [(self._station, result.epoch)]
@@ -191,6 +201,8 @@ def _decoder(
             return NmeaDecoder(source_name, utc_date=utc_date)
         case "ubx":
             return UbxDecoder(source_name, near_ns)
+        case "sbf":
+            return SbfDecoder(source_name)
         case "rtcm":
             return RtcmDecoder(near_ns)
         case "mixed":

@@ -15,13 +15,13 @@ from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficien
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation
 from camber.formats.ubx.nav_reader import ReceiverBaseline
-from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.gnss import ReceiverIntegrity
@@ -37,13 +37,17 @@ _COUNTERS_OF_UBX = (
     "malformed", "not_read", "without_time", "other_systems", "unknown_signals", "repeated_signals", "bad_subframes",
     "epochs_without_position", "late",
 )  # fmt: skip
+_COUNTERS_OF_SBF = (
+    "malformed", "not_read", "without_time", "other_systems", "other_antennas", "unknown_signals", "repeated_signals",
+    "epochs_without_position", "late",
+)  # fmt: skip
 _COUNTERS_OF_RTCM = ("malformed", "not_read", "unknown_signals", "incomplete")
 
 
 def main(argv: Sequence[str]) -> int:
     """Print the content of a file; 0 success, 2 it cannot be read completely."""
     parser = tool_parser(_PROG, __doc__)
-    formats = "RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos"
+    formats = "RINEX 3 or 4, UBX, SBF, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos"
     parser.add_argument("file", type=Path, metavar="FILE", help=f"{formats}; may be compressed")
     parser.add_argument("--json", action="store_true", help="print the full report as JSON")
     text = "a day within half a week of the recording, for RTCM, which does not contain the week"
@@ -124,7 +128,7 @@ class _RecordingContent:
                         self.problems.append(item)
                 case ObservationEpoch():
                     self._epoch("file", item)
-                case RawxEpoch():
+                case ReceiverEpoch():
                     self._epoch("receiver", item.epoch)
                 case BaseStationEpoch():
                     self._epoch(f"station {item.station_id}", item.epoch)
@@ -215,5 +219,6 @@ def _counters(decoder: object) -> Iterator[tuple[str, int]]:
         yield "nmea.unknown_satellites", decoder.nmea.satellites.unknown_satellites
         yield "nmea.incomplete", decoder.nmea.incomplete
         yield from ((f"ubx.{name}", getattr(decoder.ubx, name)) for name in _COUNTERS_OF_UBX)
+        yield from ((f"sbf.{name}", getattr(decoder.sbf, name)) for name in _COUNTERS_OF_SBF)
         if decoder.rtcm is not None:
             yield from ((f"rtcm.{name}", getattr(decoder.rtcm, name)) for name in _COUNTERS_OF_RTCM)

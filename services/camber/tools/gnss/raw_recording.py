@@ -16,10 +16,10 @@ import numpy as np
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, Floats, ObservationEpoch
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.rinex.observation_header import ObservationHeader
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation
-from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.gnss.recording_file import RecordingFile
@@ -123,7 +123,7 @@ def _read(path: Path, near_ns: int | None) -> _File:
             match item:
                 case ObservationEpoch():
                     file.epochs[_RECEIVER].append(item)
-                case RawxEpoch():
+                case ReceiverEpoch():
                     file.epochs[_RECEIVER].append(item.epoch)
                 case BaseStationEpoch():
                     file.epochs[item.station_id].append(item.epoch)

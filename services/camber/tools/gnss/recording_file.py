@@ -1,7 +1,7 @@
 """A recording of satellite navigation of any format that Camber reads, found by its content and read piece by piece.
 
-RINEX 3 and 4 (observations, navigation), solutions of RTKLIB, and streams of UBX, RTCM 3 and NMEA, alone or together;
-each may be packed as in `rinex_files`.
+RINEX 3 and 4 (observations, navigation), solutions of RTKLIB, and streams of UBX, SBF, RTCM 3 and NMEA, alone or
+together; each may be packed as in `rinex_files`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from camber.formats.errors import FormatError
 from camber.formats.nmea.sentences import Sentence, parse_sentence
 from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder, MixedResult
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rinex.navigation_reader import NavigationDecoder, NavigationResult
 from camber.formats.rinex.observation_reader import ObservationResult, RinexDecoder
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
-from camber.formats.ubx.rawx_reader import RawxEpoch
+from camber.formats.sbf.reader import block_number
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.schemas.gnss import ReceiverIntegrity
 
@@ -32,7 +33,7 @@ Format = Literal["RINEX observations", "RINEX navigation", "RTKLIB solutions", "
 WeekFrom = Literal["recording", "ephemerides", "caller", "file date"]
 """What settles the week where the recording does not: the last is a guess."""
 
-_EXPECTED = "RINEX 3 or 4, UBX, RTCM 3, NMEA or a solution file of RTKLIB"
+_EXPECTED = "RINEX 3 or 4, UBX, SBF, RTCM 3, NMEA or a solution file of RTKLIB"
 _UNIX_TIME_OF_GPS_EPOCH_S = 315_964_800  # 1980-01-06 00:00 UTC (IS-GPS-200)
 UBX_NAMES = {
     0x0101: "NAV-POSECEF", 0x0102: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0105: "NAV-ATT",
@@ -46,6 +47,16 @@ UBX_NAMES = {
     0x0501: "ACK-ACK", 0x068A: "CFG-VALSET", 0x068B: "CFG-VALGET", 0x0A04: "MON-VER", 0x0A09: "MON-HW",
     0x0A36: "MON-COMMS", 0x0A38: "MON-RF", 0x0D03: "TIM-TM2", 0x1002: "ESF-MEAS", 0x1010: "ESF-STATUS",
     0x2709: "SEC-SIG",
+}  # fmt: skip
+SBF_NAMES = {
+    4001: "DOP", 4002: "GALNav", 4004: "GLONav", 4005: "GLOAlm", 4006: "PVTCartesian", 4007: "PVTGeodetic",
+    4013: "ChannelStatus", 4012: "SatVisibility", 4014: "ReceiverStatus", 4015: "Commands", 4017: "GPSRawCA",
+    4022: "GALRawFNAV", 4023: "GALRawINAV", 4026: "GLORawCA", 4027: "MeasEpoch", 4028: "BaseVectorGeod",
+    4030: "GALIon", 4031: "GALUtc", 4043: "BaseVectorCart", 4047: "BDSRaw", 4059: "DiskStatus", 4081: "BDSNav",
+    4082: "QualityInd", 4092: "RFStatus", 4095: "QZSNav", 4097: "EncapsulatedOutput", 4109: "Meas3Ranges",
+    4120: "BDSIon", 4245: "GALAuthStatus", 5891: "GPSNav", 5893: "GPSIon", 5894: "GPSUtc", 5902: "ReceiverSetup",
+    5905: "PosCovCartesian", 5906: "PosCovGeodetic", 5907: "VelCovCartesian", 5908: "VelCovGeodetic",
+    5914: "ReceiverTime", 5921: "EndOfPVT", 5922: "EndOfMeas", 5938: "AttEuler", 5939: "AttCovEuler",
 }  # fmt: skip
 
 
@@ -69,7 +80,7 @@ class RecordingFile:
         self.format, self.decoder = self._recognised(first, near_ns)
         self._counted: FrameBuffer | None = None
         if count_messages and self.format == "receiver stream":
-            self._counted = FrameBuffer("ubx", "nmea", "rtcm")
+            self._counted = FrameBuffer("ubx", "sbf", "nmea", "rtcm")
 
     def items(self) -> Iterator[list[Item]]:
         """What the file holds, in its order, as much at a time as a piece of it gives."""
@@ -97,7 +108,7 @@ class RecordingFile:
             return "RINEX observations", RinexDecoder(name)
         if first.startswith(b"%"):
             return "RTKLIB solutions", PosDecoder(name)
-        buffer = FrameBuffer("ubx", "nmea", "rtcm")
+        buffer = FrameBuffer("ubx", "sbf", "nmea", "rtcm")
         frames = [frame for frame in (*buffer.feed(first), *buffer.finish()) if _is_whole(frame)]
         if not first:
             raise FormatError(name, "empty file", _EXPECTED)
@@ -112,9 +123,9 @@ class RecordingFile:
         rtcm = [frame for frame in frames if frame.protocol == "rtcm"]
         if not rtcm:
             return None
-        others = MixedDecoder(self.path.name, protocols=("ubx", "nmea"))
+        others = MixedDecoder(self.path.name, protocols=("ubx", "sbf", "nmea"))
         for item in (*others.feed(first), *others.finish()):
-            if isinstance(item, RawxEpoch):
+            if isinstance(item, ReceiverEpoch):
                 return item.epoch.time_ns
             if isinstance(item, ReceiverSolution | ReceiverIntegrity):
                 return item.time_ns
@@ -137,10 +148,13 @@ def _is_whole(frame: Frame) -> bool:
 
 
 def message_name(frame: Frame) -> str:
-    """Such as `UBX RXM-RAWX`, `RTCM 1077`, `NMEA GNGGA`."""
+    """Such as `UBX RXM-RAWX`, `SBF MeasEpoch`, `RTCM 1077`, `NMEA GNGGA`."""
     data = frame.data
     if frame.protocol == "rtcm":
         return f"RTCM {data[3] << 4 | data[4] >> 4}" if len(data) >= 8 else "RTCM, empty"
+    if frame.protocol == "sbf":
+        number = block_number(data)
+        return f"SBF {SBF_NAMES.get(number, number)}"
     if frame.protocol == "ubx":
         kind = data[2] << 8 | data[3]
         return f"UBX {UBX_NAMES.get(kind, f'{data[2]:02X}-{data[3]:02X}')}"

@@ -215,7 +215,7 @@ def _check_stream(
     is_cable = url.startswith(("serial", "tcp", "file"))
     remedy = "cable, address, permissions of the device" if is_cable else "caster, mount point, user"
     clock = SystemClock()
-    frames, decoder = FrameBuffer("ubx", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
+    frames, decoder = FrameBuffer("ubx", "sbf", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
     frame_counts: Counter[str] = Counter()
     latencies_s: list[float] = []
     size, deadline_s = 0, time.monotonic() + seconds
@@ -236,7 +236,7 @@ def _check_stream(
         yield problem(what, f"{url}: {text}", remedy)
         return
     counts = ", ".join(f"{count} {name}" for name, count in frame_counts.most_common())
-    if protocol in ("ubx", "nmea", "rtcm", "mixed"):
+    if protocol in ("ubx", "sbf", "nmea", "rtcm", "mixed"):
         if not (frame_counts.total() if protocol == "mixed" else frame_counts[protocol]):
             text = f"{url}: {size} bytes without {protocol} ({counts or 'no frame of any protocol'})"
             yield problem(what, text, "protocol in gnss.toml, baud rate, output of the receiver")

@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.formats.receiver.frame_buffer import FrameBuffer, FrameProtocol
-from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frame_search import MAX_SBF_BYTES, MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.writer import ubx_frame
 from support.gnss_files import fed_in_pieces
 from support.plain_frames import PlainFrameBuffer
+from support.sbf_blocks import sbf_frame
 
 PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
     ("ubx", "nmea", "rtcm"),
@@ -22,6 +23,9 @@ PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
     ("nmea",),
     ("rtcm",),
     ("ubx", "rtcm"),
+    ("sbf",),
+    ("nmea", "sbf"),
+    ("ubx", "nmea", "rtcm", "sbf"),
 )
 
 
@@ -30,7 +34,8 @@ def false_beginning(rng: random.Random) -> bytes:
     length = rng.choice([0, 1, 7, 100, 1023, MAX_UBX_PAYLOAD_BYTES, MAX_UBX_PAYLOAD_BYTES + 1, 0xFFFF])
     ubx = b"\xb5\x62\x01\x07" + length.to_bytes(2, "little")
     rtcm = b"\xd3" + min(length, 1023).to_bytes(2, "big")
-    whole = rng.choice([ubx, rtcm, b"$GNGGA,", b"$", b"$GN", b"$gn"])
+    sbf = b"$@\x00\x00\xbb\x0f" + rng.choice([0, 4, 8, 10, 400, 0xFFFC, MAX_SBF_BYTES]).to_bytes(2, "little")
+    whole = rng.choice([ubx, rtcm, sbf, b"$GNGGA,", b"$", b"$GN", b"$gn", b"$@"])
     return whole[: rng.randrange(1, len(whole) + 1)]
 
 
@@ -42,7 +47,8 @@ def damaged_frame(rng: random.Random) -> bytes:
 
 def frame(rng: random.Random) -> bytes:
     content = rng.randbytes(rng.choice([0, 1, 20, 300, 1023]))
-    return rng.choice([ubx_frame(content[0] if content else 0, 7, content), rtcm_frame(content)])
+    ubx = ubx_frame(content[0] if content else 0, 7, content)
+    return rng.choice([ubx, rtcm_frame(content), sbf_frame(rng.randrange(8192), content)])
 
 
 def sentence(rng: random.Random) -> bytes:
@@ -112,8 +118,8 @@ def test_long_chunks_equal_short_ones(size: int) -> None:
     while len(data) < size:
         data += stream(rng)
     data = data[:size]
-    expected = frames_and_counts(PlainFrameBuffer("ubx", "nmea", "rtcm"), data)
-    assert frames_and_counts(FrameBuffer("ubx", "nmea", "rtcm"), data) == expected
+    expected = frames_and_counts(PlainFrameBuffer(*PROTOCOLS[-1]), data)
+    assert frames_and_counts(FrameBuffer(*PROTOCOLS[-1]), data) == expected
 
 
 @pytest.mark.parametrize("size", range(MAX_SENTENCE_BYTES - 1, MAX_SENTENCE_BYTES + 3))

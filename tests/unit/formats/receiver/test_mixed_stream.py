@@ -1,10 +1,11 @@
-"""UBX, NMEA and RTCM on one port, with garbage between them."""
+"""UBX, SBF, NMEA and RTCM on one port, with garbage between them."""
 
 from __future__ import annotations
 
 import io
 import random
 import struct
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,21 +21,23 @@ from camber.formats.observations import satellite_name
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.frame_search import MAX_UBX_PAYLOAD_BYTES
 from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.satellite_report import SatelliteReport
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.nav_writer import format_position_velocity_time
-from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.schemas.gnss import ReceiverIntegrity
 from support.gnss_files import fed_in_pieces, recording
 from support.gnss_files import nmea_sentence as sentence
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
+from support.sbf_blocks import rf_status, sbf_frame
+from support.sbf_drive import position_blocks
 
 START_NS = 2300 * WEEK_NS + 345_600 * SECOND_NS
-EVERY = ("ubx", "nmea", "rtcm")
+EVERY = ("ubx", "nmea", "rtcm", "sbf")
 
 
 POLL = ubx_frame(0x0A, 0x04, b"")
@@ -47,6 +50,8 @@ def random_frame(rng: random.Random) -> tuple[str, bytes]:
         return kind, ubx_frame(rng.randrange(256), rng.randrange(256), rng.randbytes(size))
     if kind == "rtcm":
         return kind, rtcm_frame(rng.randbytes(rng.choice([2, 19, 200, 1023])))
+    if kind == "sbf":
+        return kind, sbf_frame(rng.randrange(8192), rng.randbytes(rng.choice([0, 6, 300, 16_000])))
     content = "GN" + "".join(rng.choice("ABCXYZ,.0123456789-+ ") for _ in range(rng.choice([3, 60, 200])))
     return kind, sentence(content)
 
@@ -119,7 +124,7 @@ def test_results_of_all_protocols_are_in_the_streams_order():
     )
     decoded += decoder.finish()
     kinds = [type(result).__name__ for result in decoded]
-    assert kinds == ["RawxEpoch", "ReferenceStation", "ReceiverIntegrity", "ReceiverSolution"]
+    assert kinds == ["ReceiverEpoch", "ReferenceStation", "ReceiverIntegrity", "ReceiverSolution"]
     assert decoder.rtcm_without_time == 1
     assert decoder.bytes_skipped == len(b"garbage\x00")
     assert decoded[0].epoch.time_ns == START_NS
@@ -139,6 +144,32 @@ def test_position_of_ubx_and_nmea_is_returned_once():
     times = [result.time_ns for result in decoded if isinstance(result, ReceiverSolution)]
     assert times == [START_NS + second * SECOND_NS for second in range(4)]
     assert decoder.positions_not_used == 4
+
+
+def test_position_of_sbf_and_nmea_is_returned_once_and_dates_rtcm():
+    decoder = MixedDecoder("port")
+    decoded = []
+    for second in range(4):
+        position = replace(solution(START_NS + second * SECOND_NS), quality=SolutionQuality.FLOAT)
+        decoded += decoder.feed(position_blocks(position) + station(1))
+        decoded += decoder.feed(format_rmc(position) + format_gga(position, geoid_separation_m=30.0))
+    decoded += decoder.finish()
+    positions = [result for result in decoded if isinstance(result, ReceiverSolution)]
+    assert [result.time_ns for result in positions] == [START_NS + k * SECOND_NS for k in range(4)]
+    assert {result.quality for result in positions} == {SolutionQuality.FLOAT}
+    assert decoder.positions_not_used == 4
+    assert decoder.rtcm_without_time == 0
+
+
+def test_integrity_of_sbf_and_nmea_is_one_report():
+    decoder = MixedDecoder("port", START_NS)
+    decoded = decoder.feed(rf_status(START_NS, [(1_575_420_000, 100, 8)], flags=1))
+    decoded += decoder.feed(
+        format_rmc(solution(START_NS)) + format_gga(solution(START_NS), geoid_separation_m=30.0)
+    )
+    decoded += decoder.feed(sentence("GNGBS,235942.00,1.6,1.4,3.2,,,,,,"))
+    last = [result for result in decoded if isinstance(result, ReceiverIntegrity)][-1]
+    assert (last.jamming, last.spoofing, last.raim) == ("critical", "indicated", "passed")
 
 
 @pytest.mark.parametrize("with_nav_sat", [True, False])
@@ -174,7 +205,7 @@ def test_date_of_rawx_is_used_for_nmea():
     assert [type(result) for result in lone.feed(gga) + lone.finish()] == [FormatError]
     decoder = MixedDecoder("port")
     decoded = decoder.feed(format_raw_measurements(epoch) + gga) + decoder.finish()
-    assert [type(result) for result in decoded] == [RawxEpoch, ReceiverSolution]
+    assert [type(result) for result in decoded] == [ReceiverEpoch, ReceiverSolution]
     assert decoded[1].time_ns == position.time_ns
 
 
@@ -213,7 +244,7 @@ def test_recorded_frames_equal_those_of_pyubx2():
         buffer = FrameBuffer(*EVERY)
         decoded = [frame.data for frame in buffer.feed(data) + buffer.finish()]
         assert [frame for frame in decoded if not frame.startswith(NOT_PARSED)] == frames_of_pyubx2(data)
-        assert buffer.failed_checks == {"ubx": 2 if "BADCK2" in path.name else 0, "rtcm": 0}
+        assert buffer.failed_checks == {"ubx": 2 if "BADCK2" in path.name else 0, "rtcm": 0, "sbf": 0}
 
 
 def test_mixed_and_single_protocol_decoders_agree():

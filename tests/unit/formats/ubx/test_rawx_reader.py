@@ -15,7 +15,8 @@ from pyubx2 import UBXReader
 
 from camber.formats.observations import satellite_name, satellite_number, signal_name, signal_number
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
-from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
+from camber.formats.receiver.receiver_epoch import ReceiverEpoch
+from camber.formats.ubx.rawx_reader import read_raw_measurements
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.signal_ids import GNSS_IDS, SIGNAL_IDS
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
@@ -213,7 +214,7 @@ def measurements(frame: bytes):
     return supported, len(rows) - len(supported)
 
 
-def assert_equal_to_pyubx2(frame: bytes, result: RawxEpoch) -> None:
+def assert_equal_to_pyubx2(frame: bytes, result: ReceiverEpoch) -> None:
     message, epoch = UBXReader.parse(frame), result.epoch
     assert epoch.time_ns == message.week * WEEK_NS + round(message.rcvTow * 1e9)
     assert result.clock_reset == message.clkReset

@@ -54,6 +54,8 @@ def largest_difference(one: list[ObservationEpoch], other: list[ObservationEpoch
     [
         # RINEX has three decimals; UBX single precision of the Doppler, whole dB-Hz, and where it counts cycles from.
         ("rover", "ubx", 0, [0.00051, 0.00051, 0.0008, 0.51]),
+        # SBF of that UBX: 1 mm, 0.001 cycle, 0.0001 Hz.
+        ("rover", "sbf", 200, [0.0011, 0.0016, 0.0009, 0.51]),
         # MSM7: 2^-29 ms (0.6 mm) of pseudorange, 2^-31 ms of phase, 0.0001 m/s of range rate, 2^-4 dB-Hz.
         # Its phase counts whole cycles from where the pseudorange was.
         ("base", "rtcm", 3, [0.0008, 0.0015, 0.0015, 0.04]),
@@ -75,6 +77,7 @@ def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
     near_ns = raw_drive.times_ns[0]
     streams: dict[Any, bytes] = {
         "ubx": b"".join(raw_drive.ubx_parts[:10]),
+        "sbf": b"".join(raw_drive.sbf_parts[:10]),
         "mixed": b"".join(map(b"".join, zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False))),
         "rtcm": b"".join(raw_drive.rtcm_parts[:10]),
         "rinex": raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts[:10]),

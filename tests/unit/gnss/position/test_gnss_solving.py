@@ -127,6 +127,18 @@ def test_raw_observations_become_right_fixes(kind: Callable[[RawDrive], Tick], r
     assert run.service.healthy()
 
 
+def test_sbf_gives_the_fixes_of_ubx(raw_drive: RawDrive) -> None:
+    base = raw_drive.rtcm_parts
+    run = Run(raw_drive, lambda k: [("rover", "sbf", raw_drive.sbf_parts[k]), ("base", "rtcm", base[k])])
+    assert len(run.fixed()) == EPOCHS
+    assert run.bus.issues == []
+    for ours, other in zip(run.bus.fixes, Run(raw_drive).bus.fixes, strict=True):
+        assert ours.time_ns == other.time_ns
+        assert abs(ours.height_m - other.height_m) < 0.003
+    mixed = [rtcm + sbf for rtcm, sbf in zip(base, raw_drive.sbf_parts, strict=True)]
+    assert len(Run(raw_drive, lambda k: [("rover", "mixed", mixed[k])]).fixed()) == EPOCHS
+
+
 def test_one_port_with_ubx_rtcm_and_nmea_gives_the_same(raw_drive: RawDrive) -> None:
     nmea = b"$GPGGA,013000.00,3510.0000,N,13652.0000,E,4,12,0.8,30.0,M,38.0,M,1.0,0001*5E\r\n"
     mixed = [rtcm + nmea + ubx for rtcm, ubx in zip(raw_drive.rtcm_parts, raw_drive.ubx_parts, strict=True)]
@@ -247,7 +259,10 @@ def test_positions_on_a_stream_are_not_used_and_that_is_reported(raw_drive: RawD
     run = Run(raw_drive, lambda k: [("rover", "nmea", b"$GPGGA\r\n"), *streams(raw_drive)(k)])
     assert len(run.fixed()) == EPOCHS
     assert run.bus.issues == [
-        ("stream_not_used", "rover.nmea: expected observations or ephemerides: ubx, rtcm, mixed or rinex")
+        (
+            "stream_not_used",
+            "rover.nmea: expected observations or ephemerides: ubx, sbf, rtcm, mixed or rinex",
+        )
     ]
     assert run.bus.counters["not_used.rover.nmea"] == EPOCHS
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pysbf2 import SBF_MSGIDS
 from pyubx2 import UBX_MSGIDS
 
 from camber import cli
@@ -37,6 +38,8 @@ from camber.tools.gnss.inspect_text import text_of
 from support.gnss_files import observation_text, read_observations
 from support.random_observations import random_ephemeris, random_epoch
 from support.refusals import Refused
+from support.sbf_blocks import Tracked, meas_epoch
+from support.sbf_drive import position_blocks
 
 Shown = Callable[..., str]
 NS = 1_000_000_000
@@ -139,6 +142,8 @@ def test_every_format_is_known_by_its_content_whatever_the_file_is_called(tmp_pa
 def test_names_of_messages_are_those_of_a_second_implementation() -> None:
     for number, name in recording_file.UBX_NAMES.items():
         assert UBX_MSGIDS[bytes(divmod(number, 256))] == name
+    for number, name in recording_file.SBF_NAMES.items():
+        assert SBF_MSGIDS[number][0] == name
 
 
 @pytest.mark.parametrize(
@@ -296,13 +301,14 @@ def test_a_clock_set_back_is_distinguished_from_stray_epochs(tmp_path: Path) -> 
     assert report["time_went_back"] == ["2025/05/14 02:20:02.000"]
 
 
-@pytest.mark.parametrize("protocol", ["rinex", "ubx", "rtcm"])
+@pytest.mark.parametrize("protocol", ["rinex", "ubx", "sbf", "rtcm"])
 def test_the_end_of_a_week_is_no_gap(tmp_path: Path, protocol: str) -> None:
     begin_ns = gps_ns_from_week_tow(2366, 0)
     epochs = steady_epochs(40, begin_ns - 20 * NS)
     content = {
         "rinex": lambda: rinex(epochs).encode(),
         "ubx": lambda: b"".join(map(format_raw_measurements, epochs)),
+        "sbf": lambda: b"".join(meas_epoch(e.time_ns, {5: [SIGNAL]}) for e in epochs),
         "rtcm": lambda: rtcm(epochs),
     }[protocol]()
     times = only(inspect_recording(write(tmp_path, content), date(2025, 5, 10)))["time"]
@@ -311,6 +317,19 @@ def test_the_end_of_a_week_is_no_gap(tmp_path: Path, protocol: str) -> None:
 
 
 # streams
+
+
+SIGNAL = Tracked(signal=0, code_mm=22 * 10**9, phase_mcycles=0, doppler_tmhz=0)
+
+
+def test_a_stream_of_sbf_has_its_observations_positions_and_blocks(tmp_path: Path) -> None:
+    report = inspect_recording(write(tmp_path, whole("sbf")))
+    assert report["format"] == "receiver stream"
+    assert only(report)["time"]["epochs"] == 5
+    assert report["positions"]["by_quality"] == {"fix": 5}
+    blocks = ("MeasEpoch", "PVTGeodetic", "EndOfPVT")
+    assert report["messages"] == {f"SBF {name}": 5 for name in sorted(blocks)}
+    assert report["counters"] == {}
 
 
 def test_the_week_of_rtcm_comes_from_ephemerides_or_the_caller_and_else_is_a_guess_named_so(
@@ -441,6 +460,9 @@ def whole(kind: str) -> bytes:
         case "ubx":
             output = format_position_velocity_time(positions[3], geoid_separation_m=38.0)
             return b"".join(map(format_raw_measurements, steady_epochs(3))) + output
+        case "sbf":
+            blocks = (meas_epoch(p.time_ns, {5: [SIGNAL]}) + position_blocks(p) for p in positions)
+            return b"".join(blocks)
         case "rtcm":
             return rtcm(steady_epochs(3)) + format_reference_station(PLACE_ECEF_M, station_id=3)
         case "rinex":
@@ -455,7 +477,7 @@ def whole(kind: str) -> bytes:
 
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(
-    kind=st.sampled_from(("ubx", "rtcm", "rinex", "nav", "pos", "nmea")),
+    kind=st.sampled_from(("ubx", "sbf", "rtcm", "rinex", "nav", "pos", "nmea")),
     changes=st.lists(st.tuples(st.integers(0, 10**6), st.binary(max_size=6)), max_size=8),
     cut=st.integers(0, 10**6),
 )

@@ -31,6 +31,7 @@ from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.validation.plots import svg_text
 from support.gnss_files import observation_text, read_navigation, read_observations, read_pos
 from support.refusals import Refused
+from support.sbf_drive import sbf_of_ubx
 
 NS = 1_000_000_000
 Solve = Callable[..., tuple[str, list[ReceiverSolution]]]
@@ -152,6 +153,23 @@ def test_streams_of_the_receiver_and_the_base_give_the_same_as_rinex(drive: Path
         # RINEX has mm of the code, the streams their own steps, and other ionosphere.
         assert ecef_from_geodetic_scalar(a.latitude_rad, a.longitude_rad, a.height_m) == pytest.approx(
             ecef_from_geodetic_scalar(b.latitude_rad, b.longitude_rad, b.height_m), abs=0.005
+        )
+
+
+def test_sbf_of_the_receiver_gives_the_same_as_its_ubx(drive: Path, solve: Solve) -> None:
+    near_ns = raw(drive, *STREAMS).rover[0].time_ns
+    (drive / "rover.sbf").write_bytes(sbf_of_ubx((drive / "rover.ubx").read_bytes(), near_ns))
+    ephemerides = 'observations.ephemerides=["rover.sbf"]'
+    output, from_sbf = solve(
+        "--set", "observations.rover_obs=rover.sbf", "--set", STREAMS[1], "--set", ephemerides
+    )
+    assert "121 fixed" in output
+    _, from_ubx = solve(
+        "--set", STREAMS[0], "--set", STREAMS[1], "--set", 'observations.ephemerides=["rover.ubx"]'
+    )
+    for a, b in zip(from_sbf, from_ubx, strict=True):
+        assert ecef_from_geodetic_scalar(a.latitude_rad, a.longitude_rad, a.height_m) == pytest.approx(
+            ecef_from_geodetic_scalar(b.latitude_rad, b.longitude_rad, b.height_m), abs=0.003
         )
 
 

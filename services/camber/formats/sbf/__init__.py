@@ -1,0 +1,1 @@
+"""SBF blocks of Septentrio receivers, decoded."""
