@@ -92,6 +92,7 @@ from support.lanelet_maps import lanelet2_bytes
 from support.messages import build, message_classes
 from support.opendrive_maps import opendrive_bytes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
+from support.rinex2_writer import Epoch2, labelled, navigation_text_2, observation_text_2, types_lines
 from support.ros_bags import MAKERS, point_cloud2_bytes
 from support.sbf_blocks import (
     END_OF_PVT,
@@ -320,7 +321,7 @@ def _pos(random: Random) -> list[list[bytes]]:
 
 
 def _rinex(random: Random) -> list[list[bytes]]:
-    """Header, epochs, and an event with header lines."""
+    """Header, epochs, and an event with header lines, in versions 3 and 2."""
     rng = np.random.default_rng(random.getrandbits(32))
     station = StationHeader(marker="FUZZ", position_ecef_m=(-3.8e6, 3.5e6, 3.7e6))
     files = []
@@ -329,11 +330,31 @@ def _rinex(random: Random) -> list[list[bytes]]:
         parts = list(observation_lines(epochs, station))
         parts.insert(3, f">{'':30}4  2\n{'':60}COMMENT\n{'EVENT':<60}MARKER NAME\n")
         files.append([part.encode() for part in parts])
-    return files
+    return [
+        *files,
+        *(_rinex_2(random, types) for types in (("C1", "L1"), ("C1", "P1", "L1", "C2", "P2", "L2", "S1"))),
+    ]
+
+
+def _rinex_2(random: Random, types: tuple[str, ...]) -> list[bytes]:
+    """A file by line, with an event that names its types again, and comments."""
+    satellites = {
+        f"{random.choice('GER')}{n:2d}": dict.fromkeys(types, (20000000.0 + n, "1", "5"))
+        for n in range(1, 15)
+    }
+    epochs = [
+        Epoch2(time_ns=START_NS + k * STEP_NS, satellites=satellites, flag=flag)
+        for k, flag in enumerate((0, 1, 6))
+    ]
+    event = Epoch2(
+        time_ns=START_NS, satellites={}, flag=4, lines=[labelled("", "COMMENT"), *types_lines(types)]
+    )
+    text = observation_text_2([epochs[0], event, *epochs[1:]], types)
+    return [line.encode() for line in text.splitlines(keepends=True)]
 
 
 def _rinex_navigation(random: Random) -> list[list[bytes]]:
-    """As RINEX 3, line by line, and as RINEX 4, record by record."""
+    """As RINEX 3 and 2, line by line, and as RINEX 4, record by record."""
     rng = np.random.default_rng(random.getrandbits(32))
     messages = {"G05": "LNAV", "E11": "INAV", "J02": "LNAV"}
     text = navigation_text(
@@ -345,7 +366,10 @@ def _rinex_navigation(random: Random) -> list[list[bytes]]:
     head = "".join(lines[:begin]).replace("3.04", "4.02")
     records = ["".join(lines[k : k + 8]) for k in range(begin, len(lines), 8)]
     announced = [f"> EPH {record[:3]} {messages[record[:3]]}\n{record}" for record in records]
-    return [[line.encode() for line in lines], [part.encode() for part in (head, *announced)]]
+    ephemerides = [random_ephemeris(rng, f"G{n:02d}", START_NS // WEEK_NS * WEEK_NS) for n in (1, 32)]
+    klobuchar = IonosphereCoefficients(system="G", alpha=(1e-8,) * 4, beta=(1e5,) * 4)
+    old = navigation_text_2(ephemerides, klobuchar).splitlines(keepends=True)
+    return [[part.encode() for part in parts] for parts in (lines, (head, *announced), old)]
 
 
 def _messages(random: Random) -> list[list[bytes]]:

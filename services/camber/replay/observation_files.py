@@ -1,6 +1,7 @@
 """Files of raw observations cut into epochs, byte for byte, by as little of their content as says when.
 
-RINEX 3 and 4: a header, then a block from each `>` to the next (IGS/RTCM, "RINEX", 3.04, table A3). UBX: frames up to
+RINEX: a header, then a block from each epoch's line to the next, which begins with `>` (IGS/RTCM, "RINEX", 3.04, table
+A3), in RINEX 2 with the date (2.11, table A2). UBX: frames up to
 the last of an epoch that has a time: RXM-RAWX, and NAV messages with a time of week (u-blox UBX-18010854, 3.15, 3.17).
 SBF: blocks up to the last of MeasEpoch and the position's of one time (Septentrio mosaic-X5 reference guide, 4.1.3).
 RTCM 3: frames up to the last MSM of an epoch (RTCM 10403.3, 3.5.16.2). What carries no time goes with the epoch after
@@ -20,6 +21,7 @@ from camber.formats.broadcast.ephemeris_fields import gps_ns_near
 from camber.formats.errors import FormatError
 from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.rinex.compressed_files import rinex_chunks
+from camber.formats.rinex.version2_lines import full_year
 from camber.formats.rtcm.msm_reader import is_msm
 from camber.formats.sbf.block_time import block_time_ns
 from camber.formats.sbf.reader import MEAS_EPOCH, PVT_BLOCKS, block_number
@@ -32,6 +34,9 @@ _END_OF_HEADER = re.compile(rb"^.{60}END OF HEADER[^\n]*\n", re.MULTILINE)
 _FIRST_EPOCH = re.compile(rb"^.{48}(...).{9}TIME OF FIRST OBS", re.MULTILINE)
 _EPOCH = re.compile(
     rb"^> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ?([ \d]\d)\.(\d{7})[^\n]{2}[016]", re.MULTILINE
+)
+_EPOCH_OF_VERSION_2 = re.compile(
+    rb"^ ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d)\.(\d{7})  [016][ \d]{2}\d", re.MULTILINE
 )
 _OFFSET_NS = {b"GPS": 0, b"GAL": 0, b"QZS": 0, b"IRN": 0, b"   ": 0, b"BDT": 14 * NS_PER_SECOND}
 
@@ -49,7 +54,7 @@ _MS_PER_WEEK = NS_PER_WEEK // 1_000_000
 _GLONASS, _BEIDOU = 108, 112  # an MSM's number without its last digit
 
 _EXPECTED_EPOCHS = {
-    "rinex": "at least one, from a line '> yyyy mm dd …'",
+    "rinex": "at least one, from a line '> yyyy mm dd …', in RINEX 2 ' yy mm dd …'",
     "ubx": "at least one RXM-RAWX",
     "sbf": "at least one MeasEpoch",
     "rtcm": "at least one MSM",
@@ -94,7 +99,7 @@ def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
     for frame in _frames(data):
         if frame.protocol != "nmea":
             return frame.protocol, data
-    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX, SBF or RTCM 3", actual=data[:20])
+    raise FormatError(path.name, "format", "RINEX 2, 3 or 4, UBX, SBF or RTCM 3", actual=data[:20])
 
 
 def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
@@ -113,8 +118,8 @@ def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
 def _rinex_header(name: str, data: bytes) -> bytes:
     end = _END_OF_HEADER.search(data)
     version = data[:9].strip()
-    if not version.startswith((b"3", b"4")) or data[20:21] != b"O":
-        raise FormatError(name, "version", "observations in RINEX 3 or 4", actual=data[:21])
+    if not version.startswith((b"2", b"3", b"4")) or data[20:21] != b"O":
+        raise FormatError(name, "version", "observations in RINEX 2, 3 or 4", actual=data[:21])
     if end is None:
         raise FormatError(name, "header", "a line END OF HEADER")
     return data[: end.end()]
@@ -127,8 +132,10 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
     offset_ns = _OFFSET_NS.get(system)
     if offset_ns is None:
         raise FormatError(name, "time system", "GPS, GAL, QZS, IRN or BDT", actual=system)
-    for line in _EPOCH.finditer(data, len(header)):
+    version_2 = data[:9].strip().startswith(b"2")
+    for line in (_EPOCH_OF_VERSION_2 if version_2 else _EPOCH).finditer(data, len(header)):
         year, month, day, hour, minute, second, fraction = (int(text) for text in line.groups())
+        year = full_year(year) if version_2 else year
         try:
             time_ns = gps_ns_from_gpst(CalendarTime(year, month, day, hour, minute, second, 100 * fraction))
         except ValueError:

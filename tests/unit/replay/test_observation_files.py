@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from camber.formats.errors import FormatError
+from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rinex.writer import StationHeader
 from camber.formats.rtcm.msm_writer import msm7_payloads
 from camber.formats.rtcm.writer import format_observations, format_reference_station, rtcm_frame
@@ -18,6 +19,7 @@ from camber.geodesy.gps_time import NS_PER_WEEK
 from camber.replay.observation_files import read_observation_file, read_raw_file
 from support.gnss_files import observation_text, recording
 from support.random_observations import COMMON, random_epoch
+from support.rinex2_writer import Epoch2, labelled, observation_text_2
 from support.sbf_blocks import END_OF_PVT, GPS_NAV, PVT_GEODETIC, Tracked, meas_epoch, sbf_block, sbf_frame
 
 START_NS = 2410 * NS_PER_WEEK + 259_200_000_000_000
@@ -81,6 +83,28 @@ def test_rinex_has_a_header_and_a_block_an_epoch(tmp_path: Path) -> None:
     assert protocol == "rinex"
     assert header.splitlines()[-1].rstrip().endswith(b"END OF HEADER")
     assert all(part.startswith(b"> 20") for part in check_cut(path, data, TIMES_NS))
+
+
+@pytest.mark.parametrize("system", ["GPS", "BDT"])
+def test_rinex_2_has_a_block_an_epoch_from_a_line_with_the_date(tmp_path: Path, system: str) -> None:
+    satellites = {
+        f"G{n:2d}": dict.fromkeys(("C1", "L1", "P2", "L2", "S1", "S2"), (2e7 + n, " ", " "))
+        for n in range(1, 15)
+    }
+    blocks = [Epoch2(time_ns=time_ns, satellites=satellites) for time_ns in TIMES_NS]
+    event = Epoch2(time_ns=TIMES_NS[2], satellites={}, flag=4, lines=[labelled("a comment", "COMMENT")])
+    first = f"  2026     3    18     0     0    0.0000000     {system}"
+    text = observation_text_2(
+        [*blocks[:2], event, *blocks[2:]], ("C1", "L1", "P2", "L2", "S1", "S2"), first=first
+    )
+    path, offset_ns = written(tmp_path, text.encode()), 14_000_000_000 if system == "BDT" else 0
+    parts = check_cut(path, text.encode(), [t + offset_ns for t in TIMES_NS])
+    assert parts[1].endswith(b"COMMENT\n")
+    decoder = RinexDecoder("rover")
+    header = read_observation_file(path, None)[1]
+    assert not decoder.feed(header)
+    results = [decoder.feed(part) for part in parts]
+    assert [[e.time_ns for e in epochs] for epochs in results] == [[t + offset_ns] for t in TIMES_NS]
 
 
 def test_a_packed_file_is_cut_as_it_is_unpacked(tmp_path: Path) -> None:
@@ -159,12 +183,12 @@ def test_rtcm_without_a_date_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
-        (b"", "rover.raw: format is '', expected RINEX 3 or 4, UBX, SBF or RTCM 3"),
+        (b"", "rover.raw: format is '', expected RINEX 2, 3 or 4, UBX, SBF or RTCM 3"),
         (b"\xb5\x62\xd3\x00", "rover.raw: format is "),
         (ubx_frame(0x01, 0x07, bytes(92)), "rover.raw: epochs, expected at least one RXM-RAWX"),
         (position_of_sbf(START_NS), "rover.raw: epochs, expected at least one MeasEpoch"),
         (format_reference_station(ECEF_M, station_id=1), "rover.raw: epochs, expected at least one MSM"),
-        (rinex().replace(b"     3.04", b"     2.11"), "rover.raw: version is"),
+        (rinex().replace(b"     3.04", b"     5.00"), "rover.raw: version is"),
         (rinex().replace(b"OBSERVATION DATA", b"NAVIGATION DATA "), "rover.raw: version is"),
         (rinex().replace(b"END OF H", b"ENDS OF "), "rover.raw: header, expected a line END OF HEADER"),
         (rinex().replace(b"GPS         TIME OF", b"GLO         TIME OF"), "rover.raw: time system is"),

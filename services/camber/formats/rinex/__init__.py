@@ -1,1 +1,1 @@
-"""RINEX 3 and 4 observation and navigation files, read and written."""
+"""RINEX 2, 3 and 4 observation and navigation files, read and written."""

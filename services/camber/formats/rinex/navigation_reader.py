@@ -1,6 +1,7 @@
-"""RINEX 3 and 4 navigation files: the Keplerian ephemerides of GPS, QZSS, Galileo and BeiDou, and the ionosphere.
+"""RINEX 2, 3 and 4 navigation files: the Keplerian ephemerides of GPS, QZSS, Galileo and BeiDou, and the ionosphere.
 
-Source: IGS/RTCM, "RINEX", version 3.04 (2018), table A5, and version 4.02 (2024), types of navigation records.
+Source: IGS/RTCM, "RINEX", version 3.04 (2018), table A5, and version 4.02 (2024), types of navigation records; version
+2.11 (2007), tables A3 and A4: GPS alone.
 Supported are GPS and QZSS LNAV, Galileo I/NAV and F/NAV, BeiDou D1 and D2; other messages are counted.
 """
 
@@ -19,8 +20,11 @@ from camber.formats.rinex.observation_header import (
     leap_seconds_from_text,
     rinex_version,
 )
+from camber.formats.rinex.version2_lines import navigation_line
 
 _MAX_RECORD_LINES = 12  # chosen: more than any supported record has (8), so that longer ones are an error
+_FIRST_OF_ALL_SYSTEMS = 3.0  # before, the records are of GPS alone and without its letter
+_IONOSPHERE_OF_VERSION_2 = {"ION ALPHA": "A", "ION BETA": "B"}
 _MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", "D2")}
 _IONOSPHERE_MESSAGES = {"G": "LNAV", "J": "LNAV", "C": "D1D2"}
 _IONOSPHERE_SYSTEMS = {"GPS": "G", "BDS": "C", "QZS": "J"}
@@ -93,7 +97,8 @@ class NavigationDecoder:
             return
         text = line.decode("latin-1").rstrip()
         if not self._in_header:
-            self._body_line(text)
+            assert self.version is not None
+            self._body_line(navigation_line(text) if self.version < _FIRST_OF_ALL_SYSTEMS else text)
             return
         try:
             self._header_line(text)
@@ -108,6 +113,9 @@ class NavigationDecoder:
             self.version = rinex_version(text, "navigation data (N)", self._error)
         elif self._line_number > MAX_HEADER_LINES:
             raise self._error("header", f"END OF HEADER within {MAX_HEADER_LINES} lines")
+        elif label in _IONOSPHERE_OF_VERSION_2 and self.version < _FIRST_OF_ALL_SYSTEMS:
+            numbers = [text[k : k + 12] for k in range(2, 50, 12)]
+            self._ionosphere_half(label, ("G", ""), _IONOSPHERE_OF_VERSION_2[label], numbers)
         elif label == "IONOSPHERIC CORR":
             self._header_ionosphere(text)
         elif label == "LEAP SECONDS":
@@ -122,13 +130,17 @@ class NavigationDecoder:
         system = _IONOSPHERE_SYSTEMS.get(text[:3])
         if system is None or text[3:4] not in ("A", "B"):
             return
-        a, b, c, d = (decimal_number(text[k : k + 12]) for k in range(5, 53, 12))
-        if a is None or b is None or c is None or d is None:
-            raise self._error(text[:4], "four numbers of 12 columns", text[5:53])
         # BeiDou may have several lines: the halves of a pair have the same time and satellite after the numbers.
-        key = system, text[53:60]
+        numbers = [text[k : k + 12] for k in range(5, 53, 12)]
+        self._ionosphere_half(text[:4], (system, text[53:60]), text[3], numbers)
+
+    def _ionosphere_half(self, field: str, key: tuple[str, str], half: str, numbers: list[str]) -> None:
+        a, b, c, d = map(decimal_number, numbers)
+        if a is None or b is None or c is None or d is None:
+            raise self._error(field, "four numbers of 12 columns", "".join(numbers))
+        system = key[0]
         halves = self._halves.setdefault(key, {})
-        halves[text[3]] = (a, b, c, d)
+        halves[half] = (a, b, c, d)
         if len(halves) == 2:
             coefficients = IonosphereCoefficients(system=system, alpha=halves["A"], beta=halves["B"])
             self.klobuchar[system] = coefficients

@@ -1,4 +1,4 @@
-"""The epochs of RINEX 3 and 4 observation files: bytes decoded to the columns of all epochs at once, compiled.
+"""The epochs of RINEX observation files in the lines of versions 3 and 4: bytes decoded to columns at once, compiled.
 
 Source: IGS/RTCM, "RINEX", versions 3.04 (2018) and 4.02 (2024), table A3. The fields are read strictly by their columns
 (`F14.3` has its point in column 11), so that a lost byte is an error and not another value. A value is the integer of

@@ -1,7 +1,8 @@
-"""Headers of RINEX 3 and 4 observation files, parsed line by line.
+"""Headers of RINEX 2, 3 and 4 observation files, parsed line by line.
 
 Source: IGS/RTCM, "RINEX, The Receiver Independent Exchange Format", versions 3.04 (2018) and 4.02 (2024), tables A1 and
-A2. Phase shifts of the header are not applied: the phases of a file already contain them (3.04, section 9.1).
+A2; version 2.11 (2007), table A1. Phase shifts of the header are not applied: the phases of a file already contain them
+(3.04, section 9.1).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TypeVar
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import CARRIER_OF_BAND_HZ, GPS_MINUS_BDT_NS
+from camber.formats.rinex.version2_lines import Rinex2Lines, shared_phases, type_names
 from camber.geodesy.gps_time import NS_PER_SECOND
 
 T = TypeVar("T")
@@ -24,8 +26,20 @@ MAX_HEADER_LINES = 20_000
 _TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
 _TIME_SYSTEM_OF_FILE = {"G": "GPS", "E": "GAL", "J": "QZS", "C": "BDT", "R": "GLO", "I": "IRN"}
 _SCALES = (1, 10, 100, 1000)
+_FIRST_WITH_SYSTEM_TYPES = 3.0  # RINEX 3.04, 8.1: before, one list for all systems
 _BEIDOU_B1C_VERSION = 3.04  # RINEX 3.04, table 9: band 1 of BeiDou is B1C; in 3.02 it was B1I
+_CODES_OF_VERSION_2 = {
+    "G": {**dict.fromkeys(("C1", "L1", "D1", "S1"), "1C"), "P1": "1W", "C2": "2X", "P2": "2W"}
+    | dict.fromkeys(("L2", "D2", "S2"), "2W"),
+    "J": {**dict.fromkeys(("C1", "L1", "D1", "S1"), "1C"), **dict.fromkeys(("C2", "L2", "D2", "S2"), "2X")},
+    "E": {kind + band: band + "X" for kind in "CLDS" for band in "15678"},
+    "C": {kind + band: band + "X" for kind in "CLDS" for band in "267"},
+}
+"""The signals of RINEX 2.11, 10.1.1: it does not name the tracking; as RTKLIB's `convcode` does (`rinex.c`)."""
+_CODES_OF_VERSION_2["G"] |= {kind + "5": "5X" for kind in "CLDS"}
+_CODES_OF_VERSION_2["J"] |= {kind + band: band + "X" for kind in "CLDS" for band in "56"}
 _LABEL = slice(60, 80)
+_LAST_VERSION_2 = 2.11  # 2.12 is an extension with other names of signals
 _FIELDS = {
     *("MARKER NAME", "REC # / TYPE / VERS", "ANT # / TYPE", "APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N"),
     *("INTERVAL", "LEAP SECONDS", "SIGNAL STRENGTH UNIT"),
@@ -121,6 +135,8 @@ class HeaderParser:
             raise self._error("header", f"END OF HEADER within {MAX_HEADER_LINES} lines")
         if label == "SYS / # / OBS TYPES":
             self._observation_types(text)
+        elif label == "# / TYPES OF OBSERV" and self._version < _FIRST_WITH_SYSTEM_TYPES:
+            self._types_of_all_systems(text)
         elif label == "SYS / SCALE FACTOR":
             self._scale_factor(text)
         elif label == "TIME OF FIRST OBS":
@@ -153,6 +169,14 @@ class HeaderParser:
         self.problems += [error for fault, error in self._faults.items() if fault not in known_faults]
         return header
 
+    def version_2_lines(self, line_number: int) -> Rinex2Lines | None:
+        """Return what rearranges the lines after this header, from this number on; None but for RINEX 2."""
+        assert self._version is not None
+        if self._version >= _FIRST_WITH_SYSTEM_TYPES:
+            return None
+        system = self._file_system if self._file_system.strip() and self._file_system != "M" else "G"
+        return Rinex2Lines(system, next(iter(self._types.values())).names, line_number)
+
     def _fault(self, field: str, expected: str, actual: str | None = None) -> None:
         self._faults[field, actual] = self._error(field, expected, actual)
 
@@ -168,6 +192,9 @@ class HeaderParser:
 
     def _end(self) -> None:
         if not self.ended and not set(self._types) & set(CARRIER_OF_BAND_HZ):
+            assert self._version is not None
+            if self._version < _FIRST_WITH_SYSTEM_TYPES:
+                raise self._error("# / TYPES OF OBSERV", "this line")
             raise self._error("SYS / # / OBS TYPES", f"one of the systems {', '.join(CARRIER_OF_BAND_HZ)}")
         self._time_system()
         self.ended = True
@@ -191,24 +218,38 @@ class HeaderParser:
         if len(names) > left:
             types.announced = None
 
+    def _types_of_all_systems(self, text: str) -> None:
+        """RINEX 2: the number, then nine types a line of six columns each."""
+        if text[:6].strip():
+            count = text[:6].strip()
+            types = _SystemTypes(int(count) if _is_count(count) else None)
+            self._types = dict.fromkeys(_CODES_OF_VERSION_2, types)
+        types_of_all = next(iter(self._types.values()), None)
+        if types_of_all is not None:
+            types_of_all.names += type_names(text)
+
     def _columns(self, system: str) -> tuple[ObservationType, ...]:
         """Return the columns; none where their number is not the announced one, as their positions are unknown then."""
         types = self._types[system]
         if system in SYSTEMS_SKIPPED:
             return ()
-        label = f"SYS / # / OBS TYPES of {system}"
+        assert self._version is not None
+        version_2 = self._version < _FIRST_WITH_SYSTEM_TYPES
+        label = "# / TYPES OF OBSERV" if version_2 else f"SYS / # / OBS TYPES of {system}"
         if types.announced != len(types.names) or system not in CARRIER_OF_BAND_HZ:
             self._fault(label, "as many types of a known system as announced")
             return ()
         columns: list[ObservationType] = []
         seen: set[str] = set()
         for name in types.names:
-            column = self._column(system, name)
+            column = self._column_of_version_2(system, name) if version_2 else self._column(system, name)
             if column.kind and column.kind + column.signal in seen:
                 self._fault(label, "each type once", name)
                 column = ObservationType(name=name)
             seen.add(column.kind + column.signal)
             columns.append(column)
+        if version_2 and system == "G":
+            columns += _columns_of_shared_phases(types.names)
         return tuple(columns)
 
     def _column(self, system: str, name: str) -> ObservationType:
@@ -223,6 +264,13 @@ class HeaderParser:
         kind = "" if name[0] == "S" and unit != "DBHZ" else name[0]
         divisor = self._scales.get((system, name), self._scales.get((system, ""), 1))
         return ObservationType(name=name, kind=kind, signal=signal, divisor=divisor)
+
+    def _column_of_version_2(self, system: str, name: str) -> ObservationType:
+        if not (len(name) == 2 and name[0] in "CPLDST" and name[1] in "12345678"):
+            self._fault("# / TYPES OF OBSERV", "C, P, L, D, S or T and a band", name)
+        signal = _CODES_OF_VERSION_2[system].get(name, "")
+        kind = "C" if name[:1] == "P" else name[:1]
+        return ObservationType(name=name, kind=kind, signal=signal) if signal else ObservationType(name=name)
 
     def _signal(self, system: str, code: str) -> str:
         """Return the signal's name of 3.04, where band 1 of BeiDou is B1C, without 1I and 1Q; in 3.02 it was B1I."""
@@ -270,13 +318,21 @@ class HeaderParser:
         return number
 
 
+def _columns_of_shared_phases(types: list[str]) -> list[ObservationType]:
+    return [
+        ObservationType(name=types[k], kind=types[k][0], signal=shared.signal)
+        for shared in shared_phases(types)
+        for k in shared.columns
+    ]
+
+
 def rinex_version(text: str, file_type: str, error: Callable[[str, str, str], FormatError]) -> float:
     """Return the version in a file's first line; an error for another format, version or type such as `… data (O)`."""
     version = decimal_number(text[:9])
     if text[_LABEL].strip() != "RINEX VERSION / TYPE" or version is None:
         raise error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", text)
-    if not 3.0 <= version < 5.0:
-        raise error("RINEX version", "3 or 4", text[:9].strip())
+    if not (2.0 <= version <= _LAST_VERSION_2 or 3.0 <= version < 5.0):
+        raise error("RINEX version", "2.0 to 2.11, 3 or 4", text[:9].strip())
     if text[20:21] != file_type[-2]:
         raise error("file type", file_type, text[20:40].strip())
     return version

@@ -1,7 +1,7 @@
-"""RINEX 3 and 4 observation files, decoded as a stream.
+"""RINEX 2, 3 and 4 observation files, decoded as a stream.
 
 No input raises: content that cannot be read costs its line, or its epoch, and is one `FormatError` among the results.
-Refused as a whole: RINEX 2, unknown versions, times in UTC, files of GLONASS alone.
+Refused as a whole: unknown versions, times in UTC, files of GLONASS alone.
 Ignored: cycle slip records (epoch flag 6), receiver clock offsets.
 """
 
@@ -24,6 +24,7 @@ from camber.formats.rinex.observation_epochs import (
     read_epochs,
 )
 from camber.formats.rinex.observation_header import HeaderParser, ObservationHeader
+from camber.formats.rinex.version2_lines import Rinex2Lines
 
 _CHUNK_BYTES = 1 << 18  # chosen: bounds the memory of the compiled loop's tables
 
@@ -53,6 +54,7 @@ class RinexDecoder:
         self._source_name = source_name
         self._parser = HeaderParser(source_name)
         self._layout: ColumnLayout | None = None
+        self._version_2: Rinex2Lines | None = None
         self._pending = bytearray()
         self._missing = 0
         self._partial = bytearray()
@@ -71,9 +73,12 @@ class RinexDecoder:
     def finish(self) -> list[ObservationResult]:
         """Return the remaining results at the end: an incomplete epoch or header is an error."""
         results = self.feed(b"\n") if self._partial else []
+        if self._version_2 is not None and not self.refused:
+            self._pending += self._version_2.finish()
         if not self.refused and (self.header is None or self._pending):
             field, expected = EXPECTED[TRUNCATED] if self.header else ("header", "END OF HEADER")
-            results.append(FormatError(self._source_name, field, expected, line_number=self._line_number))
+            number = self._file_line_number(self._line_number)
+            results.append(FormatError(self._source_name, field, expected, line_number=number))
             self.problems += 1
         self._pending, self.refused = bytearray(), True
         return results
@@ -89,6 +94,8 @@ class RinexDecoder:
             self._partial += b"\n"
         lines = self._partial + chunk[begin:end]
         self._partial = bytearray(chunk[end:][: MAXIMUM_LINE_BYTES + 1])
+        if self._version_2 is not None:
+            lines = bytearray(self._version_2.rearranged(bytes(lines)))
         self._pending += lines
         self._missing -= lines.count(b"\n")
         if self._missing > 0 and b">" not in lines:
@@ -110,9 +117,13 @@ class RinexDecoder:
             self._parser.line(self._line_number, lines[start:end])
             self._line_number += 1
             start = end + 1
+        rest = lines[start:]
         if self._parser.ended:
             self._update_header(results)
-        return lines[start:]
+            self._version_2 = self._parser.version_2_lines(self._line_number)
+            if self._version_2 is not None:
+                rest = self._version_2.rearranged(rest)
+        return rest
 
     def _update_header(self, results: list[ObservationResult]) -> ColumnLayout:
         self.header = self._parser.header()
@@ -131,9 +142,11 @@ class RinexDecoder:
             if batch.stop == EVENT:
                 begin, end, count = batch.event
                 for k, line in enumerate(lines[begin:end].split(b"\n")[:-1]):
-                    self._parser.line(self._line_number - count + k, line)
+                    self._parser.line(self._file_line_number(self._line_number - count + k), line)
                 if count:
                     layout = self._update_header(results)
+            if self._version_2 is not None:
+                self._version_2.forget(batch.lines)
             lines = lines[batch.consumed :]
             if batch.stop == NEEDS_MORE:
                 self._missing = batch.missing
@@ -160,6 +173,15 @@ class RinexDecoder:
                 field = f"{lines[start : start + 3].decode('latin-1')} {layout.names[column]}"
             text = lines[start : start + 60].split(b"\n")[0]
             errors.append(
-                FormatError(self._source_name, field, expected, actual=text, line_number=line_number)
+                FormatError(
+                    self._source_name,
+                    field,
+                    expected,
+                    actual=text,
+                    line_number=self._file_line_number(line_number),
+                )
             )
         return errors
+
+    def _file_line_number(self, number: int) -> int:
+        return number if self._version_2 is None else self._version_2.line_number(number)

@@ -47,7 +47,7 @@ _COUNTERS_OF_RTCM = ("malformed", "not_read", "unknown_signals", "incomplete")
 def main(argv: Sequence[str]) -> int:
     """Print the content of a file; 0 success, 2 it cannot be read completely."""
     parser = tool_parser(_PROG, __doc__)
-    formats = "RINEX 3 or 4, UBX, SBF, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos"
+    formats = "RINEX 2, 3 or 4, UBX, SBF, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos"
     parser.add_argument("file", type=Path, metavar="FILE", help=f"{formats}; may be compressed")
     parser.add_argument("--json", action="store_true", help="print the full report as JSON")
     text = "a day within half a week of the recording, for RTCM, which does not contain the week"

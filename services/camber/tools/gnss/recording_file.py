@@ -1,6 +1,6 @@
 """A recording of satellite navigation of any format that Camber reads, found by its content and read piece by piece.
 
-RINEX 3 and 4 (observations, navigation), solutions of RTKLIB, and streams of UBX, SBF, RTCM 3 and NMEA, alone or
+RINEX 2, 3 and 4 (observations, navigation), solutions of RTKLIB, and streams of UBX, SBF, RTCM 3 and NMEA, alone or
 together; each may be packed as in `rinex_files`.
 """
 
@@ -33,7 +33,7 @@ Format = Literal["RINEX observations", "RINEX navigation", "RTKLIB solutions", "
 WeekFrom = Literal["recording", "ephemerides", "caller", "file date"]
 """What settles the week where the recording does not: the last is a guess."""
 
-_EXPECTED = "RINEX 3 or 4, UBX, SBF, RTCM 3, NMEA or a solution file of RTKLIB"
+_EXPECTED = "RINEX 2, 3 or 4, UBX, SBF, RTCM 3, NMEA or a solution file of RTKLIB"
 _UNIX_TIME_OF_GPS_EPOCH_S = 315_964_800  # 1980-01-06 00:00 UTC (IS-GPS-200)
 UBX_NAMES = {
     0x0101: "NAV-POSECEF", 0x0102: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0105: "NAV-ATT",

@@ -289,10 +289,10 @@ def test_truncated_file_loses_only_its_last_record():
     ("first", "says"),
     [
         (
-            f"{2.11:9.2f}{'':11}{'N: GPS NAV DATA':<40}RINEX VERSION / TYPE",
-            "RINEX version is '2.11', expected 3 or 4",
+            f"{2.12:9.2f}{'':11}{'N: GPS NAV DATA':<40}RINEX VERSION / TYPE",
+            "RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4",
         ),
-        (f"{5.0:9.2f}{'':11}{'N: GNSS NAV DATA':<40}RINEX VERSION / TYPE", "expected 3 or 4"),
+        (f"{5.0:9.2f}{'':11}{'N: GNSS NAV DATA':<40}RINEX VERSION / TYPE", "expected 2.0 to 2.11, 3 or 4"),
         (f"{3.04:9.2f}{'':11}{'OBSERVATION DATA':<40}RINEX VERSION / TYPE", "expected navigation data"),
         ("garbage", "expected 'RINEX VERSION / TYPE'"),
     ],

@@ -303,8 +303,8 @@ def test_time_systems_are_converted_to_gps_time(system, offset_s):
     [
         (header(time_system="UTC"), "test.obs:4: time system is 'UTC', expected one of GPS"),
         (header(time_system="GLO"), "time system is 'GLO'"),
-        (header(version=2.11), "test.obs:1: RINEX version is '2.11', expected 3 or 4"),
-        (header(version=5.0), "RINEX version is '5.00', expected 3 or 4"),
+        (header(version=2.12), "test.obs:1: RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4"),
+        (header(version=5.0), "RINEX version is '5.00', expected 2.0 to 2.11, 3 or 4"),
         (header().replace("OBSERVATION DATA", "N: GNSS NAV DATA"), "expected observation data"),
         (header(types=("R    1 C1C",)), "expected one of the systems G, J, E, C"),
         (line("3.0", "CRINEX VERS   / TYPE"), "not its Hatanaka compression"),

@@ -149,11 +149,11 @@ def test_names_of_messages_are_those_of_a_second_implementation() -> None:
 @pytest.mark.parametrize(
     ("content", "output"),
     [
-        (b"", "empty file, expected RINEX 3 or 4, UBX"),
+        (b"", "empty file, expected RINEX 2, 3 or 4, UBX"),
         (np.random.default_rng(3).bytes(20_000), "content is"),
         (b"time_ns,wheel_speed_m_s\n1,2\n", "content is 'time_ns,"),
         (b"$ABC is no sentence\r\n$GPGGA,1*00\r\n", "content is"),
-        (f"{2.11:9.2f}{'':11}{'OBSERVATION DATA':<40}RINEX VERSION / TYPE\n", "RINEX version is '2.11', expected 3"),
+        (f"{2.12:9.2f}{'':11}{'OBSERVATION DATA':<40}RINEX VERSION / TYPE\n", "RINEX version is '2.12', expected 2.0"),
         (b"%  GPST latitude(deg) longitude(deg) height(m) Q ns\n2025/05/14 03:20:00 35 136 50 1 9\n", "recording:"),
         (gzip.compress(rinex(steady_epochs(3)).encode(), mtime=0)[:15], "gzip compression"),
     ],

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 import camber
 from camber import cli
 from camber.formats.drive.truth_csv import TruthTable, read_truth
+from camber.formats.observations import satellite_name, signal_name
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar
@@ -31,6 +32,7 @@ from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.validation.plots import svg_text
 from support.gnss_files import observation_text, read_navigation, read_observations, read_pos
 from support.refusals import Refused
+from support.rinex2_writer import Cell, Epoch2, observation_text_2
 from support.sbf_drive import sbf_of_ubx
 
 NS = 1_000_000_000
@@ -170,6 +172,42 @@ def test_sbf_of_the_receiver_gives_the_same_as_its_ubx(drive: Path, solve: Solve
     for a, b in zip(from_sbf, from_ubx, strict=True):
         assert ecef_from_geodetic_scalar(a.latitude_rad, a.longitude_rad, a.height_m) == pytest.approx(
             ecef_from_geodetic_scalar(b.latitude_rad, b.longitude_rad, b.height_m), abs=0.003
+        )
+
+
+def rinex_2_of(path: Path) -> str:
+    """An observation file with the signals that RINEX 2 has types for, of GPS and Galileo."""
+    kinds = {"pseudorange_m": "C", "carrier_phase_cycles": "L", "doppler_hz": "D", "cn0_dbhz": "S"}
+    epochs = []
+    for epoch in read_observations(path).epochs:
+        satellites: dict[str, dict[str, Cell]] = {}
+        for row, (satellite, signal) in enumerate(
+            zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
+        ):
+            name, band = satellite_name(satellite), signal_name(signal)[0]
+            for column, kind in kinds.items() if name[0] in "GE" else ():
+                value, flag = float(getattr(epoch, column)[row]), "1" if epoch.loss_of_lock[row] else " "
+                if not np.isnan(value):
+                    satellites.setdefault(name, {})[kind + band] = value, flag if kind == "L" else " ", " "
+        epochs.append(Epoch2(time_ns=epoch.time_ns, satellites=satellites))
+    types = sorted({name for epoch in epochs for cells in epoch.satellites.values() for name in cells})
+    return observation_text_2(epochs, types)
+
+
+def test_rinex_2_of_rover_and_base_gives_the_same_as_rinex_3(drive: Path, solve: Solve) -> None:
+    for name in ("rover", "base"):
+        (drive / f"{name}.05o").write_text(rinex_2_of(drive / f"{name}.obs"))
+    position_m = ", ".join(map(str, read_observations(drive / "base.obs").header.position_ecef_m or ()))
+    output, from_rinex_2 = solve(
+        "--set", "observations.rover_obs=rover.05o", "--set", "observations.base_obs=base.05o",
+        "--set", f"observations.base_ecef_m=[{position_m}]",
+    )  # fmt: skip
+    assert "121 fixed" in output
+    _, from_rinex_3 = solve("--set", f"observations.base_ecef_m=[{position_m}]")
+    for a, b in zip(from_rinex_2, from_rinex_3, strict=True):
+        # With fewer satellites: the noise of phases.
+        assert ecef_from_geodetic_scalar(a.latitude_rad, a.longitude_rad, a.height_m) == pytest.approx(
+            ecef_from_geodetic_scalar(b.latitude_rad, b.longitude_rad, b.height_m), abs=0.03
         )
 
 
