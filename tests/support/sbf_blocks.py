@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris
+from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.observations import (
     SPEED_OF_LIGHT_M_S,
     Ephemeris,
@@ -221,6 +221,11 @@ def ephemeris_block(ephemeris: Ephemeris, time_ns: int, *, source: int = 2, **ch
 
     orbit = {block: value(name) for name, block in _ORBIT_FIELDS.items()}
     orbit |= {"t_oe": int(orbit["t_oe"]), "t_oc": int(orbit["t_oc"])}
+    # Galileo's are those of GPS.
+    weeks = (
+        system_week("G" if system == "E" else system, t)[0] for t in (ephemeris.toe_ns, ephemeris.toc_ns)
+    )
+    orbit |= dict(zip(("WNt_oe", "WNt_oc"), weeks, strict=True))
     if system == "E":
         health = [integers[f"{s}_{kind}"] for s in ("e1b", "e5b", "e5a") for kind in ("invalid", "health")]
         bits = sum((1 | health[2 * k] << 1 | health[2 * k + 1] << 2) << 4 * k for k in range(3))

@@ -1,4 +1,4 @@
-"""RTKLIB's convbin decodes observations and ephemerides of all systems, from UBX and from RTCM."""
+"""RTKLIB's convbin decodes observations and ephemerides of all systems, from UBX, SBF and RTCM."""
 
 import shutil
 import subprocess
@@ -21,6 +21,7 @@ from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe
 from support.gnss_files import read_navigation
 from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris
+from support.sbf_blocks import ephemeris_block, measurements_block
 from support.simple_rinex import epochs_of
 
 CONVBIN = shutil.which("convbin")
@@ -34,8 +35,8 @@ SECONDS = 45
 ELEMENTS = {*Ephemeris.__slots__, "toe_s", "toc_s", "af0_s", "af1", "af2"} - {"health"}
 
 
-def epochs(rng):
-    rows = [(name, signal) for name in SATELLITES for signal in SIGNALS[name[0]]]
+def epochs(rng, satellites=SATELLITES):
+    rows = [(name, signal) for name in satellites for signal in SIGNALS[name[0]]]
     satellite = np.array([satellite_number(name) for name, _ in rows])
     signal = np.array([signal_number(signal) for _, signal in rows])
     wavelength = np.array([LIGHT_M_S / COMMON[name[0]][signal] for name, signal in rows])
@@ -121,6 +122,19 @@ def test_rtklib_decodes_the_ubx_stream(tmp_path, ephemerides):
     values, sets = converted(tmp_path, stream, "ubx")
     assert_same_observations(values, sent, 0.5)
     assert sets == {name: elements(ephemeris) for name, ephemeris in ephemerides.items()}
+
+
+def test_rtklib_decodes_the_blocks_of_sbf_that_our_decoder_is_tested_with(tmp_path, ephemerides):
+    # RTKLIB 2.4.3 knows neither QZSS nor newer satellites in SBF, and of ephemerides those of GPS and Galileo.
+    sent = list(epochs(np.random.default_rng(5), ("G05", "G31", "E11", "C01", "C19", "C30")))
+    known = {name: ephemeris for name, ephemeris in ephemerides.items() if name[0] in "GE"}
+    stream = b"".join(ephemeris_block(ephemeris, BEGIN_NS) for ephemeris in known.values())
+    stream += b"".join(map(measurements_block, sent))
+    values, sets = converted(tmp_path, stream, "sbf")
+    # It scales C/N0 once too often, by its unit of 0.004 dB-Hz; three decimals are left of it.
+    values = {key: value / 0.004 if key[2][0] == "S" else value for key, value in values.items()}
+    assert_same_observations(values, sent, 0.26)
+    assert sets == {name: elements(ephemeris) for name, ephemeris in known.items()}
 
 
 def test_rtklib_decodes_the_rtcm_stream(tmp_path, ephemerides):

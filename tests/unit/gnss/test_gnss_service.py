@@ -28,9 +28,18 @@ from camber.gnss.settings import GnssSettings
 from camber.live.snapshots import satellites_as_json
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
-from camber.schemas.gnss import SATELLITE_USES, Estimates, EstimatesRequest, ReceiverBytes, SatellitesInView
+from camber.schemas.gnss import (
+    SATELLITE_USES,
+    Estimates,
+    EstimatesRequest,
+    ReceiverBytes,
+    ReceiverIntegrity,
+    SatellitesInView,
+)
 from support.gnss_bus import GnssBus
 from support.gnss_files import nmea_sentence, recording
+from support.sbf_blocks import rf_status
+from support.sbf_drive import position_blocks
 
 NS = 1_000_000_000
 START_NS = gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 30))
@@ -359,6 +368,25 @@ def test_a_receiver_that_lists_no_satellite_has_none() -> None:
     receive(service, nmea(0) + nmea_sentence("GPGSV,1,1,00,1") + nmea(1), "nmea")
     (view,) = views_of(bus)
     assert shown(view) == []
+
+
+@pytest.mark.parametrize("protocol", ["sbf", "mixed"])
+def test_positions_and_warnings_of_a_septentrio_receiver_are_published(protocol: str) -> None:
+    service, bus = make()
+    # A clock a year off does not matter: the blocks contain their date.
+    bus.time_ns = START_NS + 365 * 86_400 * NS
+    data = b"".join(position_blocks(solution(n)) for n in range(3))
+    data += rf_status(solution(2).time_ns, [(1_575_420_000, 100, 8)], flags=0b10)
+    receive(service, data, protocol)
+    assert [fix.time_ns for fix in bus.fixes] == [solution(n).time_ns for n in range(3)]
+    assert bus.qualities() == ["fixed"] * 3
+    statements = [message for message in bus.published if isinstance(message, ReceiverIntegrity)]
+    assert (statements[-1].raim, statements[-1].jamming, statements[-1].spoofing) == (
+        "passed",
+        "critical",
+        "affirmed",
+    )
+    assert bus.issues == []
 
 
 @pytest.mark.parametrize("protocol", ["ubx", "mixed"])

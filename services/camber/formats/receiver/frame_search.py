@@ -73,7 +73,7 @@ def _find(
     frames = np.empty((data.size // 3 + 1, 3), np.int64)
     sums = np.empty((4, data.size + 1), np.int64)
     sums[:, 0] = 0
-    count, start, skipped, summed = 0, 0, 0, 0
+    count, start, skipped, summed, summed16 = 0, 0, 0, 0, 0
     failed = np.zeros(4, np.int64)
     while start < data.size:
         protocol = _protocol_at(data, start, wanted)
@@ -87,16 +87,11 @@ def _find(
             break
         if size > 0 and protocol != NMEA:
             end = start + size
-            summed = _extend_sums(data, sums, (summed, end), tables)
-            if protocol == UBX:
-                valid = _is_fletcher_valid(data, sums, start, end)
-            elif protocol == SBF:
-                valid = _is_crc16_valid(data, sums, (start, end), tables)
+            if protocol == SBF:
+                summed16 = _extend_crc16(data, sums, (summed16, end), tables)
             else:
-                # Including its CRC, the CRC of a frame is zero.
-                removed = _product(sums[_CRC, start], tables.powers[size], CRC24Q_POLYNOMIAL, 24)
-                valid = sums[_CRC, end] == removed
-            if not valid:
+                summed = _extend_sums(data, sums, (summed, end), tables)
+            if not _is_valid(data, sums, (protocol, start, end), tables):
                 failed[protocol] += 1
                 size = -1
         if size > 0:
@@ -167,15 +162,36 @@ def _sentence_size(data: Bytes, start: int, last: bool) -> int:
 
 @compiled
 def _extend_sums(data: Bytes, sums: Integers, span: tuple[int, int], tables: CrcTables) -> int:
-    """Extend the sums (4, n + 1) before each byte: bytes, index × byte, the CRCs; return how far they are valid."""
+    """Extend the sums (4, n + 1) before each byte: bytes, index × byte, CRC-24Q; return how far they are valid."""
     summed, end = span
     for k in range(summed, end):
-        byte, crc, crc16 = np.int64(data[k]), sums[_CRC, k], sums[_CRC16, k]
+        byte, crc = np.int64(data[k]), sums[_CRC, k]
         sums[_SUM, k + 1] = sums[_SUM, k] + byte
         sums[_WEIGHTED, k + 1] = sums[_WEIGHTED, k] + k * byte
         sums[_CRC, k + 1] = (crc << 8 & 0xFFFFFF) ^ tables.table[crc >> 16 ^ byte]
-        sums[_CRC16, k + 1] = (crc16 << 8 & 0xFFFF) ^ tables.table16[crc16 >> 8 ^ byte]
     return max(summed, end)
+
+
+@compiled
+def _extend_crc16(data: Bytes, sums: Integers, span: tuple[int, int], tables: CrcTables) -> int:
+    """Extend CRC-CCITT before each byte, apart from the others: most streams have no SBF."""
+    summed, end = span
+    for k in range(summed, end):
+        crc = sums[_CRC16, k]
+        sums[_CRC16, k + 1] = (crc << 8 & 0xFFFF) ^ tables.table16[crc >> 8 ^ np.int64(data[k])]
+    return max(summed, end)
+
+
+@compiled
+def _is_valid(data: Bytes, sums: Integers, frame: tuple[int, int, int], tables: CrcTables) -> bool:
+    protocol, start, end = frame
+    if protocol == UBX:
+        return _is_fletcher_valid(data, sums, start, end)
+    if protocol == SBF:
+        return _is_crc16_valid(data, sums, (start, end), tables)
+    # Including its CRC, the CRC of a frame is zero.
+    removed = _product(sums[_CRC, start], tables.powers[end - start], CRC24Q_POLYNOMIAL, 24)
+    return bool(sums[_CRC, end] == removed)
 
 
 @compiled
