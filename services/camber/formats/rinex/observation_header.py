@@ -137,6 +137,10 @@ class HeaderParser:
             self._observation_types(text)
         elif label == "# / TYPES OF OBSERV" and self._version < _FIRST_WITH_SYSTEM_TYPES:
             self._types_of_all_systems(text)
+        elif label == "WAVELENGTH FACT L1/2" and not {text[:6].strip(), text[6:12].strip()} <= {"", "0", "1"}:
+            raise self._error(
+                label, "1: phases with ambiguities of half cycles are not read", text[:12].strip()
+            )
         elif label == "SYS / SCALE FACTOR":
             self._scale_factor(text)
         elif label == "TIME OF FIRST OBS":
@@ -225,7 +229,7 @@ class HeaderParser:
             types = _SystemTypes(int(count) if _is_count(count) else None)
             self._types = dict.fromkeys(_CODES_OF_VERSION_2, types)
         types_of_all = next(iter(self._types.values()), None)
-        if types_of_all is not None:
+        if types_of_all is not None and len(types_of_all.names) <= (types_of_all.announced or 0):
             types_of_all.names += type_names(text)
 
     def _columns(self, system: str) -> tuple[ObservationType, ...]:

@@ -1,7 +1,7 @@
 """RINEX 2, 3 and 4 observation files, decoded as a stream.
 
 No input raises: content that cannot be read costs its line, or its epoch, and is one `FormatError` among the results.
-Refused as a whole: unknown versions, times in UTC, files of GLONASS alone.
+Refused as a whole: unknown versions, times in UTC, files of GLONASS alone, wavelength factors of half cycles.
 Ignored: cycle slip records (epoch flag 6), receiver clock offsets.
 """
 

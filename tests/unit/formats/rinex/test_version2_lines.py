@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 import subprocess
+import tracemalloc
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -305,6 +306,7 @@ def test_damaged_value_costs_its_satellite_and_is_named_by_its_number() -> None:
     [
         (("     2.11", "     2.12"), "RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4"),
         (("# / TYPES OF OBSERV", "# / TYPES OF OBSERX"), "# / TYPES OF OBSERV, expected this line"),
+        (("     1     1 ", "     1     2 "), "WAVELENGTH FACT L1/2 is '1     2', expected 1: phases with"),
         (("GPS         TIME", "GLO         TIME"), "time system is 'GLO'"),
         (("OBSERVATION DATA", "METEOROLOGICAL D"), "file type is 'METEOROLOGICAL D', expected observation"),
     ],
@@ -325,6 +327,17 @@ def test_wrong_types_are_one_fault_of_the_header(types: str, says: str) -> None:
     _, errors, _ = decode(text if len(types) == 12 else text.replace(" " * 6 + "# / TY", "# / TY", 1))
     assert len(errors) == 1
     assert "# / TYPES OF OBSERV" in str(errors[0])
+
+
+def test_endless_lists_of_types_do_not_grow_the_memory() -> None:
+    decoder = RinexDecoder("test.05o")
+    decoder.feed(observation_text_2(three_epochs(), ["C1"]).encode())
+    event = Epoch2(time_ns=START_NS, satellites={}, flag=4, lines=types_lines(["C1"] * 18)[1:] * 900)
+    tracemalloc.start()
+    for _ in range(20):
+        decoder.feed(epoch_text_2(event, []).encode())
+    assert tracemalloc.get_traced_memory()[0] < 2_000_000
+    tracemalloc.stop()
 
 
 @given(st.integers(0, 2**32))
