@@ -1,6 +1,6 @@
 """Time stamp of SBF blocks: `TOW` [ms] and `WNc`, GPS time with a week count that does not roll over.
 
-Source: Septentrio mosaic-X5 reference guide, 4.1.3.
+Source: Septentrio mosaic-X5 reference guide, "SBF Block Time Stamp".
 """
 
 from __future__ import annotations

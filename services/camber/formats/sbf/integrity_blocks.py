@@ -1,6 +1,7 @@
 """RFStatus and GALAuthStatus: interference, misleading signals and authentication of navigation messages (OSNMA).
 
-Source: Septentrio mosaic-X5 reference guide, the two blocks.
+Source: Septentrio mosaic-X5 reference guide, the two blocks; modes, flags and masks as the maker's driver for ROS reads
+them (septentrio_gnss_driver, message_handler.cpp).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """SBF decoder of a byte stream: observations, ephemerides, the receiver's position and its integrity reports.
 
-Source: Septentrio mosaic-X5 reference guide, 4.1 (frame) and 4.2 (blocks). No input raises: malformed content is
-counted.
+Source: Septentrio mosaic-X5 reference guide, chapter "SBF Reference" (frame, blocks). No input raises: malformed
+content is counted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MEAS_EPOCH, RF_STATUS, GAL_AUTH_STATUS = 4027, 4092, 4245
 PVT_BLOCKS = (pvt.PVT_GEODETIC, pvt.POS_COV_GEODETIC, pvt.VEL_COV_GEODETIC, pvt.END_OF_PVT)
 """Those of one epoch's position, up to its end."""
 _READ = {MEAS_EPOCH, RF_STATUS, GAL_AUTH_STATUS, *PVT_BLOCKS, *NAVIGATION_BLOCKS}
-_HEADER_BYTES = 8  # mosaic-X5 reference guide, 4.1.1
+_HEADER_BYTES = 8  # mosaic-X5 reference guide, "SBF Block Header Format"
 
 
 def block_number(frame: bytes) -> int:
