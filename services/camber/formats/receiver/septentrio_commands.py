@@ -13,7 +13,7 @@ _REPLY = re.compile(rb"\$R([:;?!])[ ]?([^\r\n]*)((?:\r\n[^\r\n]*)*?)\r\n([A-Z]{2
 _PERIODS_MS = (10, 20, 40, 50, 100, 200, 500)
 """Shorter than a second, as `msec` and the number (setSBFOutput)."""
 RAW_BLOCKS = frozenset({"MeasEpoch"})
-POSITION_BLOCKS = frozenset({"PVTGeodetic", "PosCovGeodetic"})
+POSITION_BLOCKS = frozenset({"PVTGeodetic", "PosCovGeodetic", "EndOfPVT"})
 INTEGRITY_BLOCKS = frozenset({"RFStatus", "GALAuthStatus"})
 EPHEMERIS_BLOCKS = frozenset({"GPSNav", "GPSIon", "GALNav", "BDSNav", "QZSNav"})
 

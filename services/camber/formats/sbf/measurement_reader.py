@@ -52,7 +52,7 @@ _CN0_OFFSET_DBHZ = 10.0  # mosaic-X5 reference guide, `CN0`
 _CN0_UNKNOWN = 255  # mosaic-X5 reference guide, `CN0`
 
 
-class _Columns(NamedTuple):
+class _MeasurementColumns(NamedTuple):
     """Rows (n,) of all signals; NaN where the receiver reports no value. `lock_clipped`: locked at least so long."""
 
     svid: Integers
@@ -105,7 +105,7 @@ def read_measurements(
         other_antennas=int(np.count_nonzero(~main)),
     )
     phase = columns.code_mm / 1000.0 * carrier_hz / SPEED_OF_LIGHT_M_S + columns.phase_mcycles / 1000.0
-    columns = _Columns._make(column[used] for column in columns)
+    columns = _MeasurementColumns._make(column[used] for column in columns)
     has_phase, lock_s = ~np.isnan(phase[used]), np.nan_to_num(columns.lock_s)
     resolution_s = np.where(np.isnan(columns.lock_s), 0.0, _LOCK_RESOLUTION_S)
     cn0 = columns.cn0 * 0.25 + np.where(np.isin(number[used], GPS_P_CODES), 0.0, _CN0_OFFSET_DBHZ)
@@ -159,7 +159,7 @@ def _rows(body: bytes, starts: list[int], layout: np.dtype[np.void]) -> NDArray[
     return np.ascontiguousarray(np.frombuffer(body, np.uint8)[index]).view(layout).reshape(-1)
 
 
-def _columns(firsts: NDArray[np.void], further: NDArray[np.void], parent: Integers) -> _Columns:
+def _columns(firsts: NDArray[np.void], further: NDArray[np.void], parent: Integers) -> _MeasurementColumns:
     """Return all signals, those of a satellite one after another."""
     order = np.argsort(np.concatenate((np.arange(firsts.size), parent)), kind="stable")
     first, second = _first_columns(firsts), _further_columns(further)
@@ -169,18 +169,18 @@ def _columns(firsts: NDArray[np.void], further: NDArray[np.void], parent: Intege
         code_mm=first.code_mm[parent] + second.code_mm,
         doppler_hz=first.doppler_hz[parent] * (carriers_hz[1] / carriers_hz[0]) + second.doppler_hz,
     )
-    return _Columns._make(np.concatenate(pair)[order] for pair in zip(first, second, strict=True))
+    return _MeasurementColumns._make(np.concatenate(pair)[order] for pair in zip(first, second, strict=True))
 
 
-def _number(columns: _Columns) -> Integers:
+def _number(columns: _MeasurementColumns) -> Integers:
     low = columns.kind & 31
     return np.where(low == _SIGNAL_IN_INFO, (columns.info >> 3) + 32, low)
 
 
-def _first_columns(rows: NDArray[np.void]) -> _Columns:
+def _first_columns(rows: NDArray[np.void]) -> _MeasurementColumns:
     code_mm = (rows["Misc"].astype(np.int64) & 15) << 32 | rows["CodeLSB"]
     doppler = rows["Doppler"].astype(np.float64) / 1e4
-    return _Columns(
+    return _MeasurementColumns(
         svid=rows["SVID"].astype(np.int64),
         kind=rows["Type"].astype(np.int64),
         info=rows["ObsInfo"].astype(np.int64),
@@ -193,10 +193,10 @@ def _first_columns(rows: NDArray[np.void]) -> _Columns:
     )
 
 
-def _further_columns(rows: NDArray[np.void]) -> _Columns:
+def _further_columns(rows: NDArray[np.void]) -> _MeasurementColumns:
     """Return columns whose code and Doppler are differences; the satellite is missing."""
     offsets = rows["OffsetsMSB"].astype(np.int64)
-    return _Columns(
+    return _MeasurementColumns(
         svid=np.zeros(rows.size, np.int64),
         kind=rows["Type"].astype(np.int64),
         info=rows["ObsInfo"].astype(np.int64),

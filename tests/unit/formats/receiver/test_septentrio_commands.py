@@ -38,7 +38,7 @@ def test_the_order_of_blocks_and_further_fields_do_not_matter():
     data_in_out, dynamics, raw, *_ = wanted_settings("COM2", 5, raw=True)
     assert raw.command == "setSBFOutput, Stream1, COM2, MeasEpoch, msec200"
     positions = wanted_settings("COM2", 1, raw=False)[2]
-    line = "  SBFOutput, Stream1, COM2, PosCovGeodetic+PVTGeodetic, sec1"
+    line = "  SBFOutput, Stream1, COM2, PosCovGeodetic+EndOfPVT+PVTGeodetic, sec1"
     assert positions.is_met(parse_reply(f"$R: x\r\n{line}\r\nCOM2>".encode()))
     assert not positions.is_met(parse_reply(f"$R: x\r\n{line.replace('COM2,', 'COM1,')}\r\nCOM2>".encode()))
     assert data_in_out.is_met(parse_reply(b"$R: x\r\n  DataInOut, COM2, auto, SBF, (on)\r\nCOM2>"))
