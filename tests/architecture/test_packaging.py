@@ -51,12 +51,21 @@ def test_a_wheel_holds_both_roots_and_says_that_it_is_typed(tmp_path: Path) -> N
     assert "camber/formats/ros/msg/camber_msgs/msg/Verdict.msg" in names
 
 
+def test_the_extra_all_is_what_a_user_may_want_of_all_others() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    (line,) = extras["all"]
+    assert set(line.removeprefix("camber[").removesuffix("]").split(",")) == set(extras) - {
+        "all", "docs", "dev", "mutation"
+    }  # fmt: skip
+
+
 def test_every_dependency_is_pinned_and_nothing_says_from_where(monkeypatch: pytest.MonkeyPatch) -> None:
     """What wheel and editable installation are made with, too: pip fetches that for each of them."""
     monkeypatch.chdir(ROOT)
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras = table["project"]["optional-dependencies"].values()
-    wanted = [*table["project"]["dependencies"], *(line for extra in extras for line in extra)]
+    of_extras = (line for extra in extras for line in extra if not line.startswith("camber["))
+    wanted = [*table["project"]["dependencies"], *of_extras]
     wanted += table["build-system"]["requires"]
     wanted += hatchling.build.get_requires_for_build_wheel()
     wanted += hatchling.build.get_requires_for_build_editable()
