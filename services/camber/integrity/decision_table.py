@@ -222,7 +222,7 @@ TEST_RULES: tuple[DecisionRule, ...] = (
     ),
     _compared(
         "position_disagrees",
-        "the fix goes on from fixes that began elsewhere than where [earlier confirmed ones "
+        "the fix begins, or goes on from fixes that began, elsewhere than where [earlier confirmed ones "
         "lead](../theory/integrity.md#carried-position)",
         lambda tests: tests.began_elsewhere,
         _figures,

@@ -48,15 +48,17 @@ class CarriedRules:
     `longest_s`: chosen, the longest episodes of wrong fixes known here. Fixes of a run are at most `longest_gap_s`
     apart, as those of a time series, and move with vehicle and road within `step_m` in the plane and upwards: the step
     from a right fix to a wrong one, 0.5 m off, is larger in one of both. `odometry_m`: error of the motion between two
-    fixes, 1 σ, chosen; 4 of 9,000 in a simulated drive are beyond 0.15 m. `drift_per_s`: of the offset of wrong
-    integers, 1 σ; of 538 in simulated skies it is 6e-4 (rms) and 2.8e-3 at most
-    (`simulator.satellites.wrong_fix_shapes`). `most_odds`: see above.
+    fixes, 1 σ, chosen; 4 of 9,000 in a simulated drive are beyond 0.15 m. `odometry_share`: of the way between two
+    fixes, what wheels may be off by (`speed_scale_bound` of the localizer), where a new run is compared with the one
+    before. `drift_per_s`: of the offset of wrong integers, 1 σ; of 538 in simulated skies it is 6e-4 (rms) and 2.8e-3
+    at most (`simulator.satellites.wrong_fix_shapes`). `most_odds`: see above.
     """
 
     longest_s: float = 120.0
     longest_gap_s: float = 1.0
     step_m: float = 0.3
     odometry_m: float = 0.05
+    odometry_share: float = 0.02
     drift_per_s: float = 1e-3
     most_odds: float = 0.01
 
@@ -144,16 +146,32 @@ class CarriedPosition:
 
     def began_elsewhere(self, fix: Fix, pose: Pose, limits: ConsistencyLimits) -> bool:
         """Has the run of a fix with a covariance begun where the carried position, known best then, did not agree?"""
-        run = self._continued(fix, pose)
-        if run is None or self._trusted(fix.time_ns) is None:
+        base, run = self._trusted(fix.time_ns), self._continued(fix, pose)
+        if base is None:
+            return False
+        begun = self._begins(base, fix, pose) if run is None else run.begun
+        if begun is None:
             return False
         assert fix.covariance_enu_m2 is not None
-        v = run.begun.variance_m2
+        v = begun.variance_m2
         fix_ee, fix_en, _, fix_nn, _, fix_uu = inflate_covariance(fix.covariance_enu_m2, self._sigma)
         # The height is tested against the road: here it differs by nothing.
         covariance = (fix_ee + v, fix_en, 0.0, fix_nn + v, 0.0, fix_uu)
-        outcome = consistency_of((*run.begun.metres, 0.0), covariance, (v, 0.0, v), limits).position
+        outcome = consistency_of((*begun.metres, 0.0), covariance, (v, 0.0, v), limits).position
         return bool(outcome != AGREES)
+
+    def _begins(self, base: _Carried, fix: Fix, pose: Pose) -> _Place | None:
+        """The carried position seen from the first fix of a run, where it is known better than the pose.
+
+        A pose that has just become wide, as when sensors leave their bounds, would let a step to wrong integers pass.
+        The same integers as before make no such step.
+        """
+        place = self._place(fix, pose)
+        if place is None or fix.ambiguity_continuity == "continuous":
+            return None
+        way_m = self._rules.odometry_share * math.hypot(*_between(base.fix, fix))
+        place = replace(place, variance_m2=place.variance_m2 + way_m * way_m)
+        return place if place.variance_m2 < pose_sigma_m(pose) ** 2 else None
 
     def has_returned_since(self, onset_ns: int, time_ns: int) -> bool:
         """Has an offset that began then been that of fixes which were not confirmed, with confirmed ones before it?"""

@@ -185,20 +185,66 @@ def test_where_the_pose_is_narrower_than_what_a_run_carries_it_is_what_is_carrie
 @pytest.mark.parametrize(
     ("next_fix", "next_pose", "same"),
     [
-        (fix(4, north_m=2.0), lost(4), True),
-        (fix(4, north_m=2.0 + 0.9 * RULES.step_m), lost(4), True),
-        (fix(4, north_m=2.0 + 1.1 * RULES.step_m), lost(4), False),
-        (fix(4, north_m=2.0, up_m=0.9 * RULES.step_m), lost(4), True),
-        (fix(4, north_m=2.0, up_m=1.1 * RULES.step_m), lost(4), False),
-        (fix(4, north_m=2.0, up_m=0.6), lost(4, road=road(slope_east=0.3)), True),
-        (fix(4, north_m=2.0), lost(4, yaw_rad=None), False),
-        (fix(9, north_m=2.0), lost(9), False),
+        (fix(4, north_m=2.0), lost(4, sigma_m=0.01), True),
+        (fix(4, north_m=2.0 + 0.9 * RULES.step_m), lost(4, sigma_m=0.01), True),
+        (fix(4, north_m=2.0 + 1.1 * RULES.step_m), lost(4, sigma_m=0.01), False),
+        (fix(4, north_m=2.0, up_m=0.9 * RULES.step_m), lost(4, sigma_m=0.01), True),
+        (fix(4, north_m=2.0, up_m=1.1 * RULES.step_m), lost(4, sigma_m=0.01), False),
+        (fix(4, north_m=2.0, up_m=0.6), lost(4, sigma_m=0.01, road=road(slope_east=0.3)), True),
+        (fix(4, north_m=2.0), lost(4, sigma_m=0.01, yaw_rad=None), False),
+        (fix(9, north_m=2.0), lost(9, sigma_m=0.01), False),
     ],
 )
 def test_a_run_goes_on_while_fixes_move_as_the_vehicle_does(next_fix, next_pose, same):
     carried = carrying()
     carried.settle(fix(3, north_m=2.0), lost(3), None)
     assert carried.began_elsewhere(next_fix, next_pose, LIMITS) == same
+
+
+STEP_M = 0.6
+
+
+@pytest.mark.parametrize("sigma_m", [0.5, 3.0])
+def test_a_step_from_confirmed_fixes_is_elsewhere_though_the_pose_has_become_wide(sigma_m):
+    carried = carrying()
+    assert carried.began_elsewhere(fix(3, north_m=STEP_M), lost(3, sigma_m=sigma_m), LIMITS)
+    assert not carried.began_elsewhere(fix(3, north_m=0.1), lost(3, sigma_m=sigma_m), LIMITS)
+
+
+def test_a_pose_that_is_known_better_is_compared_alone():
+    assert not carrying().began_elsewhere(fix(3, north_m=STEP_M), lost(3, sigma_m=0.05), LIMITS)
+
+
+def test_the_same_integers_as_before_are_no_step_to_others():
+    same, others = (fix(3, north_m=STEP_M, ambiguity_continuity=c) for c in ("continuous", "broken"))
+    assert not carrying().began_elsewhere(same, lost(3), LIMITS)
+    assert carrying().began_elsewhere(others, lost(3), LIMITS)
+
+
+def test_wheels_that_are_off_by_their_bound_are_no_step():
+    """Of 25 m in a second 0.5 m; a tenth of the way is one."""
+    driving = {"speed_m_s": 25.0}
+    for share, elsewhere in ((0.02, False), (0.1, True)):
+        carried = CarriedPosition(RULES, SIGMA, WrongFixRules())
+        carried.settle(fix(0), lost(0, **driving), SURE)
+        next_fix = fix(5, east_m=25.0 * (1.0 + share) - 10.0)  # of which epochs have 2 m each
+        assert carried.began_elsewhere(next_fix, lost(5, **driving), LIMITS) == elsewhere
+
+
+def test_a_step_from_a_position_that_may_be_wrong_itself_is_not_held_against_the_fix():
+    doubtful = carrying(range(1), odds=0.5)
+    assert not doubtful.began_elsewhere(fix(1, north_m=STEP_M), lost(1), LIMITS)
+
+
+@pytest.mark.parametrize("reference", ["assumed", "required"])
+def test_a_wrong_fix_with_the_height_of_the_road_is_not_confirmed_when_the_pose_becomes_wide(reference):
+    """As when a sensor leaves its bounds: from 6 cm to 0.6 m, a second before the fixes step by as much."""
+    vehicle = Vehicle(Rules(horizontal_reference=reference))
+    verdicts(vehicle, range(150))
+    assert {"confirmed"} == set(verdicts(vehicle, range(150, 155), sigma_m=0.6))
+    wrong = verdicts(vehicle, range(155, 215), sigma_m=0.6, north_m=STEP_M)
+    assert {"confirmed", "confirmed_after_verification"}.isdisjoint(wrong)
+    assert vehicle.epoch(215, sigma_m=0.6).confirmed
 
 
 def test_a_run_that_began_where_the_position_was_carried_began_nowhere_else():
