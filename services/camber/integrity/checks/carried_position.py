@@ -169,8 +169,8 @@ class CarriedPosition:
         place = self._place(fix, pose)
         if place is None or fix.ambiguity_continuity == "continuous":
             return None
-        way_m = self._rules.odometry_share * math.hypot(*_between(base.fix, fix))
-        place = replace(place, variance_m2=place.variance_m2 + way_m * way_m)
+        wheels_m = self._rules.odometry_share * math.hypot(*_between(base.fix, fix))
+        place = replace(place, variance_m2=place.variance_m2 + wheels_m * wheels_m)
         return place if place.variance_m2 < pose_sigma_m(pose) ** 2 else None
 
     def has_returned_since(self, onset_ns: int, time_ns: int) -> bool:
