@@ -204,7 +204,7 @@ def test_a_run_goes_on_while_fixes_move_as_the_vehicle_does(next_fix, next_pose,
 STEP_M = 0.6
 
 
-@pytest.mark.parametrize("sigma_m", [0.5, 3.0])
+@pytest.mark.parametrize("sigma_m", [0.15, 0.5, 3.0])
 def test_a_step_from_confirmed_fixes_is_elsewhere_though_the_pose_has_become_wide(sigma_m):
     carried = carrying()
     assert carried.began_elsewhere(fix(3, north_m=STEP_M), lost(3, sigma_m=sigma_m), LIMITS)
