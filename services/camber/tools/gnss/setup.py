@@ -7,8 +7,10 @@ by the receiver without power unless --volatile is given, and read back.
 from __future__ import annotations
 
 import argparse
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -37,7 +39,7 @@ from camber.formats.ubx.configuration import (
 from camber.schemas.toml_file import FileError
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.parsers import add_with_default, tool_parser
-from camber.transport.command_port import CommandPort
+from camber.transport.byte_streams import ByteSource, parse_source
 
 T = TypeVar("T")
 _PROG = "camber gnss setup"
@@ -87,7 +89,7 @@ def main(argv: Sequence[str]) -> int:
 
     def work() -> str:
         try:
-            with CommandPort(args.port) as port:
+            with closing(_open(args.port)) as port:
                 return configure(_setup_of(args, port), apply=args.yes, volatile=args.volatile)
         except ValueError as error:
             if isinstance(error, ReceiverError):
@@ -122,7 +124,7 @@ def configure(setup: ReceiverSetup, *, apply: bool, volatile: bool) -> str:
 class UbloxSetup:
     """A u-blox receiver from generation 9 on, at one of its ports."""
 
-    def __init__(self, port: CommandPort, ubx_port: UbxPort, rate_hz: int, *, raw: bool) -> None:
+    def __init__(self, port: ByteSource, ubx_port: UbxPort, rate_hz: int, *, raw: bool) -> None:
         self._port = port
         self._wanted = wanted_values(ubx_port, rate_hz, raw=raw)
         self._needed: dict[int, int] = {}
@@ -168,15 +170,12 @@ class UbloxSetup:
     def _exchange(self, request: bytes, answer: Callable[[bytes], T | None], what: str) -> T:
         """The first answer that is not None; asks again where none comes."""
         for _ in range(_TRIES):
-            frames, until_s = FrameBuffer("ubx"), time.monotonic() + _ANSWER_S
-            self._port.write(request)
-            while data := self._port.read(until_s):
+            frames = FrameBuffer("ubx")
+            for data in _received(self._port, request):
                 for frame in frames.feed(data):
                     result = answer(frame.data)
                     if result is not None:
                         return result
-                if time.monotonic() >= until_s:
-                    break
             for frame in frames.finish():  # what looked like the beginning of a long message was none
                 result = answer(frame.data)
                 if result is not None:
@@ -187,7 +186,7 @@ class UbloxSetup:
 class SeptentrioSetup:
     """A Septentrio receiver; it says itself at which of its ports it is."""
 
-    def __init__(self, port: CommandPort, rate_hz: int, *, raw: bool) -> None:
+    def __init__(self, port: ByteSource, rate_hz: int, *, raw: bool) -> None:
         self._port = port
         name = self._ask("getReceiverDynamics").port
         self._settings = wanted_settings(name, rate_hz, raw=raw)
@@ -217,21 +216,34 @@ class SeptentrioSetup:
 
     def _ask(self, command: str, *, may_refuse: bool = False) -> SeptentrioReply:
         for _ in range(_TRIES):
-            received, until_s = b"", time.monotonic() + _ANSWER_S
-            self._port.write(command.encode("ascii") + b"\r\n")
-            while data := self._port.read(until_s):
+            received = b""
+            for data in _received(self._port, command.encode("ascii") + b"\r\n"):
                 received += data
                 reply = parse_reply(received)
                 if reply is not None:
                     if reply.accepted or may_refuse:
                         return reply
                     raise ReceiverError(f"{command}: the receiver refuses it: {reply.text}")
-                if time.monotonic() >= until_s:
-                    break
         raise ReceiverError(f"{command}: no answer, expected one of a Septentrio receiver")
 
 
-def _setup_of(args: argparse.Namespace, port: CommandPort) -> ReceiverSetup:
+def _open(address: str) -> ByteSource:
+    """Raise ValueError for what is no port that can be written to, OSError where it cannot be opened."""
+    if not address.startswith(("serial:", "tcp:")):
+        raise ValueError(f"{address!r}: expected serial:DEVICE[:BAUD] or tcp:HOST:PORT")
+    return parse_source(address)(threading.Event())
+
+
+def _received(port: ByteSource, request: bytes) -> Iterator[bytes]:
+    """Send a request, and yield what arrives until the time for its answer is over."""
+    until_s = time.monotonic() + _ANSWER_S
+    if port.send(request) != len(request):
+        raise ReceiverError("the port has not taken the whole request")
+    while time.monotonic() < until_s:
+        yield port.read()
+
+
+def _setup_of(args: argparse.Namespace, port: ByteSource) -> ReceiverSetup:
     raw = args.positions == "engine"
     if args.maker == "ublox":
         return UbloxSetup(port, args.receiver_port, args.rate_hz, raw=raw)
