@@ -30,6 +30,7 @@ from camber.replay.single_process_replay import replay_in_one_process
 from camber.replay.surrogate_map import make_map
 from camber.road_map.release import write_release
 from camber.schemas.drive import Surrogates, load_manifest
+from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.validation.baselines import height_differences_m
@@ -45,7 +46,6 @@ _ANTENNA_M = 1.8  # any: it is taken off the heights of one day and added on the
 _FIXES_EVERY = 2  # rows of 10 Hz
 _FIRST_S, _LENGTH_S = 60.0, (1.0, 20.0)
 _WRONG_M, _RIGHT_M, _HEIGHT_GATE_M = 0.5, 0.2, 0.3
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +173,7 @@ def judged(map_day: str, drive_day: str, reference: str, seed: int) -> Counts:
         if v.message.fix_id is not None
     }
     names = np.array([verdicts.get(t, "none") for t in fixes.time_ns.tolist()])
-    confirmed = np.isin(names, _CONFIRMED)
+    confirmed = np.isin(names, CONFIRMED_VERDICTS)
     by_fix = {item.message.time_ns: item.message for item in output.recorded["fix"]}
     ordered = [by_fix[t] for t in fixes.time_ns.tolist() if t in by_fix]
     known = np.array([t in by_fix for t in fixes.time_ns.tolist()])

@@ -21,6 +21,8 @@ from camber.schemas.base import (
 )
 
 VerdictValue = Literal["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
+CONFIRMED_VERDICTS: tuple[VerdictValue, ...] = ("confirmed", "confirmed_after_verification")
+"""Of fixes that may be used as positions."""
 Reason = Literal[
     "none",
     "height_agrees",

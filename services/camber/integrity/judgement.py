@@ -10,7 +10,15 @@ from camber.integrity.checks.height_model import RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Cause, Evidence, HorizontalReference, Reason, Verdict, VerdictValue
+from camber.schemas.integrity import (
+    CONFIRMED_VERDICTS,
+    Cause,
+    Evidence,
+    HorizontalReference,
+    Reason,
+    Verdict,
+    VerdictValue,
+)
 from camber.schemas.pose import Pose
 
 
@@ -41,7 +49,7 @@ class FixJudgement:
     @property
     def confirmed(self) -> bool:
         """May a consumer use the position?"""
-        return self.verdict in ("confirmed", "confirmed_after_verification")
+        return self.verdict in CONFIRMED_VERDICTS
 
 
 def verdict_of(

@@ -33,12 +33,11 @@ from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.localizer.relief_localization import ReliefLocalization
 from camber.localizer.road.road_below_antenna import RoadBelowAntenna, attitude_on_road
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Verdict
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Verdict
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.schemas.pose import IndependentPosition, Pose, Road, ScanMatch
 
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 _UPPER = np.triu_indices(3)
 
 
@@ -159,7 +158,7 @@ class Localization:
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Anchor the pose to a confirmed position."""
-        placed = self._in_plane(verdict) if verdict.verdict in _CONFIRMED else None
+        placed = self._in_plane(verdict) if verdict.verdict in CONFIRMED_VERDICTS else None
         if placed is None:
             return
         (east_m, north_m), covariance = placed

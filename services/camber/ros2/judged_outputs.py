@@ -20,10 +20,9 @@ from camber.formats.ros.message_types import header_at, new_message
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import lever_arm_enu
 from camber.schemas.base import Float64
-from camber.schemas.integrity import Position, Verdict
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Position, Verdict
 from camber.schemas.motion import LeverArm
 
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 _UNKNOWN_VARIANCE = 1e6
 """Of a velocity that is not known, in (m/s)² and (rad/s)². Chosen: a thousand times any vehicle's, and no NaN."""
 _OK, _WARN, _ERROR = 0, 1, 2  # DiagnosticStatus
@@ -42,7 +41,7 @@ class FixOutput:
 
     def of_verdict(self, verdict: Verdict, now_ns: int) -> Any | None:
         """Return NO_FIX for a verdict that does not confirm; None for one that does."""
-        if verdict.verdict in _CONFIRMED:
+        if verdict.verdict in CONFIRMED_VERDICTS:
             self._confirmed = verdict
             return None
         self._confirmed, self._published_ns = None, now_ns

@@ -13,6 +13,7 @@ from camber.formats.drive.recording import Recorded
 from camber.replay.run_folder import DriveFacts, RunFacts
 from camber.schemas.base import Float64, Int64
 from camber.schemas.gnss import Fix
+from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.validation.baselines import baseline_decisions, height_differences_m
 from camber.validation.fix_statistics import (
     CandidateFixes,
@@ -22,7 +23,7 @@ from camber.validation.fix_statistics import (
     episodes_of,
     is_evaluable,
 )
-from camber.validation.judged_fixes import CONFIRMED_VERDICTS, JudgedFix, pair_fixes_with_verdicts
+from camber.validation.judged_fixes import JudgedFix, pair_fixes_with_verdicts
 from camber.validation.localization_columns import LocalizerRecord
 from camber.validation.protection_level_statistics import (
     Positions,

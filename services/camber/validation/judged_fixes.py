@@ -8,9 +8,7 @@ from dataclasses import dataclass
 
 from camber.formats.drive.recording import Recorded
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Verdict
-
-CONFIRMED_VERDICTS = ("confirmed", "confirmed_after_verification")
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

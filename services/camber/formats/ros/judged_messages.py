@@ -15,7 +15,7 @@ import numpy as np
 from camber.formats.ros.message_types import VERDICT_TYPE, header_at, message_types, new_message
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.base import Covariance3, Float64
-from camber.schemas.integrity import Position, Verdict
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Position, Verdict
 
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -25,7 +25,6 @@ _NO_FIX, _GBAS_FIX, _SERVICE_GPS = -1, 2, 1  # NavSatStatus
 _COVARIANCE_UNKNOWN, _COVARIANCE_KNOWN = 0, 3  # NavSatFix
 _OK, _WARN = 0, 1  # DiagnosticStatus
 _UNKNOWN_ANGLE_RAD2 = math.pi**2 / 3.0  # variance of an angle that can be any
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 _SAME = ("reason", "detail", "cause", "horizontal_reference", "correction_m", "trials")
 _NUMBERS = (
     *("height_difference_m", "tolerance_m", "joint_distance2", "joint_limit"),
@@ -60,7 +59,7 @@ def fix_message(verdict: Verdict) -> Any:
     A confirmed one has the status GBAS_FIX, the highest of NavSatStatus.
     """
     latitude_deg, longitude_deg, height_m, covariance = _confirmed_place(verdict)
-    status = _GBAS_FIX if verdict.verdict in _CONFIRMED else _NO_FIX
+    status = _GBAS_FIX if verdict.verdict in CONFIRMED_VERDICTS else _NO_FIX
     return new_message(
         FIX_TYPE,
         header=header_at(verdict.time_ns, ANTENNA_FRAME),
@@ -127,7 +126,7 @@ def diagnostics_message(position: Position, key: str) -> Any:
 
 def _confirmed_place(verdict: Verdict) -> tuple[float, float, float, Covariance3 | None]:
     """Latitude, longitude [deg], height [m] and covariance; NaN and None where nothing is confirmed."""
-    if verdict.verdict not in _CONFIRMED:
+    if verdict.verdict not in CONFIRMED_VERDICTS:
         return math.nan, math.nan, math.nan, None
     latitude_rad, longitude_rad = _number(verdict.latitude_rad), _number(verdict.longitude_rad)
     height_m = _number(verdict.height_m)

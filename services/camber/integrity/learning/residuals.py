@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.learning.fix_track_offset import JudgedTrackOffset
-from camber.schemas.integrity import VerdictValue
+from camber.schemas.integrity import CONFIRMED_VERDICTS, VerdictValue
 
 _FAR_M = 1e5  # chosen: no position that is compared lies so far away
 MOST_FIXES = 256
@@ -66,7 +66,7 @@ class FixResidual:
     @property
     def confirmed(self) -> bool:
         """May a consumer use the position?"""
-        return self.verdict in ("confirmed", "confirmed_after_verification")
+        return self.verdict in CONFIRMED_VERDICTS
 
     @property
     def known_up_m(self) -> float | None:

@@ -11,7 +11,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Int64
-from camber.schemas.integrity import Position, Verdict
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Position, Verdict
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.common_faults.fault_cases import CommonFault
 from camber.validation.common_faults.independent_figures import independent_figures
@@ -21,7 +21,6 @@ from camber.validation.reference_trajectory import truth_of
 NAMES = frozenset({"base", "drift"})
 """Causes of a verdict that name a common fault horizontally."""
 _NAMING_ISSUES = {code: cause for cause, code in ISSUE_CODES.items() if cause in NAMES}
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 _RIGHT_M = 0.2  # as the evidence page defines it
 _WARM_UP_M = 2_000.0  # chosen: until then relief need not show a place
 _ALERT_LIMIT_M = 1.5  # chosen: the default of the judge and of a drive
@@ -46,7 +45,7 @@ def _fixes(drive: FaultDrive, verdicts: list[Verdict]) -> dict[str, Any]:
     error_m = np.linalg.norm(drive.fixes.error_m, axis=1)
     wrong, right = drive.fixes.wrong, error_m <= _RIGHT_M
     names = [by_time[t].verdict if t in by_time else "none" for t in drive.fixes.time_ns.tolist()]
-    confirmed = np.isin(names, _CONFIRMED)
+    confirmed = np.isin(names, CONFIRMED_VERDICTS)
     erroneous = np.array(names) == "erroneous"
     worst = float(error_m[wrong & confirmed].max()) if (wrong & confirmed).any() else 0.0
     return {

@@ -10,7 +10,7 @@ import numpy as np
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.replay.single_process_replay import DriveOutput
 from camber.schemas.base import Float64, Int64
-from camber.schemas.integrity import Verdict
+from camber.schemas.integrity import CONFIRMED_VERDICTS, Verdict
 from camber.schemas.pose import Pose
 from camber.validation.common_faults.drive import FaultDrive
 from camber.validation.common_faults.wrong_episodes import WrongEpisodes
@@ -19,7 +19,6 @@ from camber.validation.reference_trajectory import truth_of
 
 CAPTURED_M = 0.5
 """A pose farther off than a fix may be, after a wrong fix was confirmed."""
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 
 
 def recovery(drive: FaultDrive, output: DriveOutput, episodes: WrongEpisodes) -> dict[str, Any]:
@@ -40,14 +39,14 @@ def recovery(drive: FaultDrive, output: DriveOutput, episodes: WrongEpisodes) ->
         if not len(inside) or not len(after):
             continue
         first_ns = int(time_ns[after[0]])
-        passed = any(_is(verdicts, t, _CONFIRMED) for t in time_ns[inside[wrong[inside]]].tolist())
+        passed = any(_is(verdicts, t, CONFIRMED_VERDICTS) for t in time_ns[inside[wrong[inside]]].tolist())
         k = int(np.searchsorted(pose_ns, first_ns, side="right")) - 1
         if not (passed and k >= 0 and pose_error_m[k] > CAPTURED_M):
             continue
         captured += 1
         times = time_ns[after].tolist()
-        to_unknown.append(_first(verdicts, times, (*_CONFIRMED, "unknown"), first_ns))
-        to_confirmed.append(_first(verdicts, times, _CONFIRMED, first_ns))
+        to_unknown.append(_first(verdicts, times, (*CONFIRMED_VERDICTS, "unknown"), first_ns))
+        to_confirmed.append(_first(verdicts, times, CONFIRMED_VERDICTS, first_ns))
     recorded = output.recorded["position"]
     positions = positions_by_epoch(recorded, truth_of(drive.truth), (0.0, 0.0, 0.0), None)
     return {

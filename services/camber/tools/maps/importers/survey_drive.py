@@ -20,6 +20,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.replay.coarse_links import coarse_links
 from camber.replay.road_lines import RoadLines, road_lines
 from camber.schemas.antenna import AntennaHeight
+from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lanes import named_links
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
@@ -27,7 +28,6 @@ from camber.tools.maps.importers.track_heights import TrackHeights
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 from camber.tools.options.parsers import add_with_default
 
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
 _MAP_FREE = ("fixed", "stroke", "ranging")
 _HEIGHT_AGE_NS = 1_000_000_000  # chosen: antenna heights are published at 1 Hz or more
 _STEP_M = 0.1  # chosen: below the distance of two positions of a moving vehicle
@@ -174,7 +174,11 @@ def _replay_track(args: argparse.Namespace) -> RoadTrack:
     antenna_ns = np.array([message.time_ns for message in antenna], np.int64)
     rows = []
     for verdict in (m.message for m in messages["verdict"]):
-        if verdict.verdict not in _CONFIRMED or verdict.latitude_rad is None or verdict.height_m is None:
+        if (
+            verdict.verdict not in CONFIRMED_VERDICTS
+            or verdict.latitude_rad is None
+            or verdict.height_m is None
+        ):
             continue
         height = _antenna_at(args, antenna, antenna_ns, verdict.time_ns)
         if height is None:
