@@ -43,7 +43,9 @@ class Terminal(threading.Thread):
                 os.write(self._end, NOISE + answer)
 
     def close(self) -> None:
+        """End the thread first: the number of a file that it still reads may be that of the next terminal."""
         os.close(self._other)
+        self.join()
         os.close(self._end)
 
 
