@@ -82,7 +82,7 @@ _NAMES = {
     "replay/done/{service}": "done",
 }
 """Of those that are not called as the end of their key."""
-_LATE_S = {"motion": (("localizer", 5.0),)}
+_LATE_S = dict.fromkeys(("motion", "imu"), (("localizer", 5.0),))
 """Chosen: dead reckoning needs every sample, also after the localizer itself was busy for some seconds; a pose of an
 old sample is dated, so its consumers refuse it."""
 _NOTES = {
@@ -133,6 +133,7 @@ _barrier = partial(_row, delivery="barrier")
 CHANNELS: tuple[Channel, ...] = (
     _row("vehicle/receiver_bytes", "vehicle > gnss", (10, 2.0), gnss.ReceiverBytes),
     _row("vehicle/motion", "vehicle > gnss localizer antenna_height integrity", (10, 0.5), motion.Motion),
+    _row("vehicle/imu", "vehicle > localizer", (200, 0.5), motion.Imu),
     _row("vehicle/suspension", "vehicle > antenna_height", (10, 0.5), motion.Suspension),
     _row("vehicle/ranging", "vehicle > antenna_height", (10, 0.5), motion.Ranging),
     _bulk("vehicle/sweep", "vehicle > localizer", (10, 0.5), lidar.Sweep),

@@ -23,8 +23,8 @@ Frames, heights, times and units are those of [conventions](conventions.md).
 
 ```
 receiver, base ─▶ gnss ───────────────────── fix, velocity ────────────┐
-sweeps ─▶ localizer ─ approximate pose with the road under it, match ─┬┤
-             ▲                                                        ▼│
+sweeps, IMU ─▶ localizer ── prior pose with the road under it, match ─┬┤
+                  ▲                                                   ▼│
    map_server (links, surfaces, points)              antenna_height ──▶├─▶ integrity ─▶ verdict, position
         ▲                                                              │       │  └──▶ gnss: other estimates (query)
         └──────── release ◀── map_update ◀── uploads ──────────────────│───────┘
@@ -160,7 +160,7 @@ _UNITS = (
     ("_enu_m2_s2", "m²/s²"), ("_enu_m2", "m²"), ("_rad_s", "rad/s"), ("_enu_m_s", "m/s"), ("_m_s", "m/s"),
     ("_dbhz", "dB-Hz"), ("_cycles", "cycles"), ("_bytes", "bytes"), ("_year", "year"), ("_hz", "Hz"), ("_rad", "rad"),
     ("_999_m", "m"), ("time_ns", "ns of GPS time"), ("_seen_ns", "ns of GPS time"), ("_ns", "ns"),
-    ("_east_north", "m²"), ("_m", "m"), ("_s", "s"),
+    ("_east_north", "m²"), ("_m", "m"), ("_s", "s"), ("_c", "°C"),
 )  # fmt: skip
 """Ending of a field's name and its unit; the first that fits counts."""
 
