@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.integrity import HorizontalReference
 from camber.schemas.map_errors import COMMON_OFFSET_SIGMA_M, LONG_M, SHORT_M, SHORT_SHARE
-from camber.schemas.motion import LeverArm
+from camber.schemas.motion import LeverArm, MountedImu
 from camber.schemas.toml_file import FileError, Overrides, load_toml
 
 SurrogateInput = Literal["wheel_speed", "yaw_rate", "steering", "links", "road_surfaces", "initial_pose"]
@@ -103,6 +103,12 @@ class RawObservations(Model):
 
 class SampleFile(Model):
     """A table of samples in Camber's CSV layout (`camber.formats.drive.motion_csv`)."""
+
+    file: File = Field(description="CSV file, its columns as in docs/drive.md")
+
+
+class ImuFile(MountedImu):
+    """Samples of an inertial measurement unit, and how it is mounted."""
 
     file: File = Field(description="CSV file, its columns as in docs/drive.md")
 
@@ -325,6 +331,9 @@ class DriveManifest(Model):
         description="whose positions are judged, receiver or engine; unset: the receiver's where there are some",
     )
     motion: SampleFile | None = Field(None, description="table with wheel speed, yaw rate and steering")
+    imu: ImuFile | None = Field(
+        None, description="table with an inertial measurement unit's samples and mounting"
+    )
     suspension: SampleFile | None = Field(None, description="table with stroke heights")
     ranging: SampleFile | None = Field(None, description="table with distances to the road")
     sweeps: Sweeps | None = Field(None, description="table with the sweeps' folder")
@@ -355,9 +364,12 @@ class DriveManifest(Model):
         roads_without_height = self.surrogates.antenna_height_m is None and (
             height is None or height.height_m is None
         )
-        measured = (self.receiver, self.observations, self.motion, self.suspension, self.ranging, self.sweeps)
+        measured = (
+            *(self.receiver, self.observations, self.motion, self.imu),
+            *(self.suspension, self.ranging, self.sweeps),
+        )
         tests = {
-            "receiver: expected one of the tables receiver, observations, motion, suspension, ranging, sweeps": (
+            "receiver: expected one of the tables receiver, observations, motion, imu, suspension, ranging, sweeps": (
                 all(table is None for table in measured) and not inputs & MOTION_SURROGATES
             ),
             f"positions is {self.positions!r}, expected a table with them": (

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from camber.schemas.base import Model
 
@@ -108,18 +109,22 @@ def _known_at(cls: type[Model], location: tuple[int | str, ...]) -> tuple[list[s
     description = ""
     for part in location[:-1]:
         tagged = [model for model in models if part in _tags(model)]
-        info = next((model.model_fields[part] for model in models if part in model.model_fields), None)
+        info = next((keys[str(part)] for keys in map(_keys, models) if str(part) in keys), None)
         if tagged:
             models = tagged
         elif info is not None:
             models, description = _models_in(info.annotation), info.description or ""
         elif not isinstance(part, int):
             return [], description
-    names = [name for model in models for name in model.model_fields]
-    info = next(
-        (m.model_fields[str(location[-1])] for m in models if str(location[-1]) in m.model_fields), None
-    )
+    last = str(location[-1])
+    names = [name for model in models for name in _keys(model)]
+    info = next((keys[last] for keys in map(_keys, models) if last in keys), None)
     return names, description if info is None else info.description or ""
+
+
+def _keys(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a model by their names in a file."""
+    return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def _tags(model: type[BaseModel]) -> tuple[Any, ...]:

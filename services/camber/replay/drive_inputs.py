@@ -36,12 +36,13 @@ from camber.schemas.drive import (
     Surrogates,
 )
 from camber.schemas.gnss import ReceiverBytes
-from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.schemas.motion import Imu, Motion, Ranging, Suspension
 
 M = TypeVar("M", bound=Message)
 _FIELDS = {
     "receiver_bytes": "receiver",
     "motion": "motion",
+    "imu": "imu",
     "suspension": "suspension",
     "ranging": "ranging",
     "sweep": "sweeps",
@@ -64,6 +65,7 @@ class DriveTick:
     time_ns: int
     receiver: tuple[ReceiverBytes, ...] = ()
     motion: tuple[Motion, ...] = ()
+    imu: tuple[Imu, ...] = ()
     suspension: tuple[Suspension, ...] = ()
     ranging: tuple[Ranging, ...] = ()
     sweeps: tuple[SweepFile, ...] = ()
@@ -88,6 +90,7 @@ class DriveInputs:
     receiver: tuple[Arrival[ReceiverBytes], ...]
     greeting: tuple[ReceiverBytes, ...]
     motion: tuple[Arrival[Motion], ...]
+    imu: tuple[Arrival[Imu], ...]
     suspension: tuple[Arrival[Suspension], ...]
     ranging: tuple[Arrival[Ranging], ...]
     sweeps: tuple[SweepFile, ...]
@@ -131,6 +134,7 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
         name: [] if source is None else read_samples(source.file, kind)
         for name, source, kind in (
             ("motion", manifest.motion, Motion),
+            ("imu", manifest.imu, Imu),
             ("suspension", manifest.suspension, Suspension),
             ("ranging", manifest.ranging, Ranging),
         )
@@ -138,8 +142,8 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
     if truth is not None and MOTION_SURROGATES & set(manifest.surrogates.inputs):
         sensors["motion"] = make_motion(truth, manifest.surrogates)
     sweeps, notes = ([], []) if manifest.sweeps is None else sweep_files(manifest.sweeps.folder)
-    # RTCM does not give its week; the first motion or truth does.
-    dated = [sample.time_ns for sample in sensors["motion"][:1]]
+    # RTCM does not give its week; the first motion, inertial sample or truth does.
+    dated = [sample.time_ns for name in ("motion", "imu") for sample in sensors[name][:1]]
     dated += [] if truth is None else truth.time_ns[:1].tolist()
     streams = read_streams(manifest, dated[0] if dated else None)
     columns = {name: _arrivals(messages) for name, messages in sensors.items()}

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.pcd import PointCloud, write_pcd
@@ -22,8 +23,16 @@ from camber.replay.short_drive import START_NS, write_short_drive
 from camber.replay.surrogates import true_motion
 from camber.replay.sweep_files import SweepReader
 from camber.road_map.release import read_release
-from camber.schemas.drive import DriveManifest, ManifestError, ReceiverFile, Surrogates, load_manifest
+from camber.schemas.drive import (
+    DriveManifest,
+    ImuFile,
+    ManifestError,
+    ReceiverFile,
+    Surrogates,
+    load_manifest,
+)
 from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.motion import Imu
 from support.gnss_files import observation_text, read_pos, recording
 from support.nearest_surface import nearest_heights
 from support.random_observations import random_epoch
@@ -121,6 +130,23 @@ def test_late_motion_arrives_late_and_keeps_its_time(drive: Path, tmp_path: Path
     late = inputs.motion[9]
     assert late.message.time_ns == START_NS + 4 * STEP_NS
     assert late.receive_time_ns == START_NS + 8 * STEP_NS
+
+
+def test_inertial_samples_arrive_when_they_are_measured(drive: Path, tmp_path: Path) -> None:
+    samples = [
+        Imu(
+            time_ns=START_NS + k * 5_000_000,
+            angular_rate_rad_s=(0.0, 0.0, 0.1),
+            specific_force_m_s2=(0.0, 0.0, 9.8),
+        )
+        for k in range(41)
+    ]
+    write_samples(tmp_path / "imu.csv", Imu, samples)
+    table = ImuFile.model_construct(file=tmp_path / "imu.csv", imu_class="mems")
+    inputs = prepared(drive, tmp_path, imu=table, end_s=0.1)
+    assert inputs.channels == ("receiver_bytes", "motion", "imu")
+    assert [arrival.message for arrival in inputs.imu] == samples[:21]
+    assert [tick.time_ns for tick in inputs.ticks() if tick.imu] == [one.time_ns for one in samples[:21]]
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,11 @@ from camber.replay.short_drive import write_short_drive
 from camber.replay.sweep_files import SweepReader
 from camber.runtime.settings import load
 from camber.schemas.channels import SERVICES
-from camber.schemas.drive import AntennaHeightMethod, LeverArms, SampleFile, Sweeps, load_manifest
+from camber.schemas.drive import AntennaHeightMethod, ImuFile, LeverArms, SampleFile, Sweeps, load_manifest
 from camber.schemas.gnss import ReceiverBytes
-from camber.schemas.motion import LeverArm, Motion, Ranging, Suspension
+from camber.schemas.motion import Imu, LeverArm, Motion, Ranging, Suspension
 from camber.tools import demo
+from camber.tools.localize.localizer_config import localizer_config
 from support.refusals import refusal
 
 NS = 1_300_000_000 * 1_000_000_000
@@ -60,6 +61,17 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(drive: DriveInp
     assert configs["antenna_height"]["way"] == manifest.antenna_height.way
     assert configs["integrity"]["alert_limit_m"] == manifest.alert_limit_m
     assert configs["localizer"]["initial_pose"] == start.model_dump()
+
+
+def test_the_mounting_of_an_inertial_unit_reaches_the_localizer(drive: DriveInputs, tmp_path: Path) -> None:
+    assert not [name for name in service_settings(drive, tmp_path)["localizer"] if name.startswith("imu_")]
+    mounted = {"x_m": 0.2, "y_m": -0.1, "z_m": 0.4, "roll_deg": 180.0, "pitch_deg": 1.5, "yaw_deg": -90.0}
+    imu = ImuFile.model_construct(file=tmp_path, imu_class="phone", **mounted)
+    localizer = localizer_config(drive.manifest.model_copy(update={"imu": imu}), None)
+    assert {name: value for name, value in localizer.items() if name.startswith("imu_")} == {
+        "imu_class": "phone",
+        **{f"imu_{name}": value for name, value in mounted.items()},
+    }
 
 
 @pytest.mark.parametrize("method", get_args(AntennaHeightMethod.model_fields["way"].annotation))
@@ -103,11 +115,12 @@ def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
         time_ns=NS,
         receiver=(ReceiverBytes(time_ns=NS, protocol="pos", payload=payload),),
         motion=(Motion(time_ns=NS - 1), Motion(time_ns=NS)),
+        imu=(Imu(time_ns=NS, angular_rate_rad_s=(0.0, 0.0, 0.0), specific_force_m_s2=(0.0, 0.0, 9.8)),),
         suspension=(Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
         ranging=(Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
     )
     names = [name for name, _ in tick.messages(SweepReader())]
-    assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
+    assert names == ["receiver_bytes", "motion", "motion", "imu", "suspension", "ranging"]
 
 
 def test_what_cannot_be_replayed_is_one_line_and_exit_code_2(

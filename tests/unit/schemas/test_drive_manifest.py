@@ -135,6 +135,17 @@ def test_summary_names_what_was_made_and_not_measured(folder: Path) -> None:
         (["map.release=data"], "expected no links, road_surfaces in surrogates.inputs"),
         (["start_s=5", "end_s=4"], "end_s is not after start_s"),
         (["lever_arms.antenna.x=1"], "lever_arms.antenna.x is not known"),
+        (["imu.file=rover.pos"], "imu.class is missing, expected noise class: phone, mems or tactical"),
+        (
+            ["imu.file=rover.pos", "imu.class=gyro"],
+            "imu.class is 'gyro': should be 'phone', 'mems' or 'tactical' (noise class",
+        ),
+        (["imu.file=rover.pos", "imu.imu_class=mems"], "imu.class is missing"),
+        (["imu={file='rover.pos', class='mems', pitch_deg=91.0}"], "imu.pitch_deg is '91.0'"),
+        (
+            ["imu={file='rover.pos', class='mems', x=1.0}"],
+            "imu.x is not known; expected one of x_m, y_m, z_m, class, roll_deg, pitch_deg, yaw_deg, file",
+        ),
         (["name.first=1"], "name is no table"),
         (["surrogates.seed"], "expected field=value"),
         (["surrogates.seed=-1"], "drive.toml: --set surrogates.seed is"),
@@ -187,7 +198,14 @@ def test_a_receiver_and_raw_observations_may_be_there_both(folder: Path) -> None
     assert both.observations is not None
 
 
-@pytest.mark.parametrize("table", ['[motion]\nfile = "rover.pos"', '[sweeps]\nfolder = "data"'])
+@pytest.mark.parametrize(
+    "table",
+    [
+        '[motion]\nfile = "rover.pos"',
+        '[imu]\nfile = "rover.pos"\nclass = "phone"',
+        '[sweeps]\nfolder = "data"',
+    ],
+)
 def test_a_drive_needs_no_receiver_and_no_antenna_height(folder: Path, table: str) -> None:
     manifest = load(folder, f'name = "try"\n{table}\n')
     assert (manifest.receiver, manifest.observations, manifest.antenna_height) == (None, None, None)

@@ -1,6 +1,8 @@
 """Samples of a vehicle's motion sensors as CSV: one row per sample, an empty field where a sensor reported nothing.
 
     motion      time_ns,wheel_speed_m_s,yaw_rate_rad_s,steering_angle_rad[,pitch_rad,roll_rad]
+    imu         time_ns,angular_rate_x_rad_s,angular_rate_y_rad_s,angular_rate_z_rad_s,
+                specific_force_x_m_s2,specific_force_y_m_s2,specific_force_z_m_s2[,temperature_c]
     suspension  time_ns,stroke_height_m,stroke_sigma_m
     ranging     time_ns,distance_m,beam_angle_rad,distance_sigma_m
 
@@ -18,17 +20,30 @@ from pydantic import ValidationError
 
 from camber.formats.errors import FormatError
 from camber.schemas.base import Message
-from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.schemas.motion import Imu, Motion, Ranging, Suspension
 
 M = TypeVar("M", bound=Message)
 
 MOTION_COLUMNS = ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad")
+_VECTORS = {
+    "angular_rate_rad_s": ("angular_rate_x_rad_s", "angular_rate_y_rad_s", "angular_rate_z_rad_s"),
+    "specific_force_m_s2": ("specific_force_x_m_s2", "specific_force_y_m_s2", "specific_force_z_m_s2"),
+}
+"""Fields with three components, and the columns of these."""
+_COMPONENTS = {
+    column: (field, index) for field, columns in _VECTORS.items() for index, column in enumerate(columns)
+}
+IMU_COLUMNS = ("time_ns", *_COMPONENTS)
 _COLUMNS: dict[type[Message], tuple[str, ...]] = {
     Motion: MOTION_COLUMNS,
+    Imu: IMU_COLUMNS,
     Suspension: ("time_ns", "stroke_height_m", "stroke_sigma_m"),
     Ranging: ("time_ns", "distance_m", "beam_angle_rad", "distance_sigma_m"),
 }
-_OPTIONAL: dict[type[Message], tuple[str, ...]] = {Motion: ("pitch_rad", "roll_rad")}
+_OPTIONAL: dict[type[Message], tuple[str, ...]] = {
+    Motion: ("pitch_rad", "roll_rad"),
+    Imu: ("temperature_c",),
+}
 """After these, all or none."""
 
 
@@ -62,9 +77,16 @@ def sample_header(columns: tuple[str, ...]) -> str:
 
 def sample_line(sample: Message, columns: tuple[str, ...]) -> str:
     """Return a sample as a line of a table, to 1e-9 of a unit."""
-    values = (getattr(sample, name) for name in columns[1:])
+    values = (_value(sample, name) for name in columns[1:])
     texts = ("" if value is None else f"{value:.9f}" for value in values)
     return ",".join((str(sample.time_ns), *texts)) + "\n"
+
+
+def _value(sample: Message, column: str) -> float | None:
+    field, index = _COMPONENTS.get(column, (column, None))
+    value = getattr(sample, field)
+    component: float | None = value if index is None else value[index]
+    return component
 
 
 def _sample(cls: type[M], header: tuple[str, ...], row: list[str], line: tuple[str, int]) -> M:
@@ -74,13 +96,20 @@ def _sample(cls: type[M], header: tuple[str, ...], row: list[str], line: tuple[s
     values: dict[str, Any] = {}
     for name, text in zip(header, row, strict=True):
         try:
-            if text.strip():
+            # A vector has all its components; any other quantity may be missing.
+            if text.strip() or name in _COMPONENTS:
                 values[name] = int(text) if name == "time_ns" else float(text)
         except ValueError:
             raise fault(name, "a number", actual=text) from None
+    values |= {
+        field: tuple(values.pop(name) for name in columns)
+        for field, columns in _VECTORS.items()
+        if field in cls.model_fields
+    }
     try:
         return cls(**values)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        name = str(first["loc"][0])
+        field, *index = first["loc"]
+        name = _VECTORS[str(field)][int(index[0])] if index else str(field)
         raise fault(name, first["msg"], actual=row[header.index(name)]) from None

@@ -35,7 +35,7 @@ from camber.schemas.base import Message
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from camber.tools.options.bus_options import bus_settings
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.parsers import add_drive, tool_parser
@@ -48,6 +48,7 @@ _LONGEST_WAIT_NS = 3600 * NS_PER_SECOND
 """Chosen: a drive that starts later is fed at once, with shifted times."""
 _LATE_NS = NS_PER_SECOND // 2  # chosen: consumers would refuse later messages as stale (table of channels)
 _AWAY_NS = 60 * NS_PER_SECOND  # chosen: after a longer suspend without motion no localizer holds its pose
+_SAMPLED = ("motion", "imu", "suspension", "ranging")  # channels of samples, and fields of a tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,8 +136,7 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
             if part.protocol in decoders
             for item in decoders[part.protocol].feed(part.payload.tobytes())
         ]
-        channels = {"motion": tick.motion, "suspension": tick.suspension, "ranging": tick.ranging}
-        samples = tuple((name, sample) for name, values in channels.items() for sample in values)
+        samples = tuple((name, sample) for name in _SAMPLED for sample in getattr(tick, name))
         solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
         sweeps = tuple(FedSweep(file=file) for file in tick.sweeps)
         raw = tuple(part for part in tick.receiver if part.protocol not in decoders)
@@ -312,6 +312,9 @@ def _moved_sample(message: Message, offset_ns: int, sign: int) -> Message:
     if isinstance(message, Motion):
         readings = {"wheel_speed_m_s": message.wheel_speed_m_s, "yaw_rate_rad_s": message.yaw_rate_rad_s}
         update |= {name: sign * value for name, value in readings.items() if value is not None}
+    if isinstance(message, Imu):
+        # Back in time rates change their sign; accelerations, as second derivatives, do not.
+        update["angular_rate_rad_s"] = tuple(sign * rate for rate in message.angular_rate_rad_s)
     return message.model_copy(update=update)
 
 

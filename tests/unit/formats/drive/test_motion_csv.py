@@ -3,13 +3,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from camber.formats.drive.motion_csv import read_samples, write_samples
 from camber.formats.errors import FormatError
-from camber.schemas.motion import Motion, Suspension
+from camber.schemas.motion import Imu, Motion, Suspension
+from support.messages import messages
 
 PLAIN = "time_ns,wheel_speed_m_s,yaw_rate_rad_s,steering_angle_rad"
 T = 1_400_000_000_000_000_000
+INERTIAL = (
+    "time_ns,angular_rate_x_rad_s,angular_rate_y_rad_s,angular_rate_z_rad_s,"
+    "specific_force_x_m_s2,specific_force_y_m_s2,specific_force_z_m_s2"
+)
 TILTED = PLAIN + ",pitch_rad,roll_rad"
 
 
@@ -76,3 +83,49 @@ def test_written_values_are_read_back(tmp_path: Path) -> None:
         write_samples(path, Motion, iter(samples))
         assert path.read_text("ascii").splitlines()[0] == header
         assert read_samples(path, Motion) == samples
+
+
+def test_inertial_samples_are_a_column_for_each_axis(tmp_path: Path) -> None:
+    path = written(
+        tmp_path, f"{INERTIAL},temperature_c\n{T},0.01,-0.02,0.03,0.4,-0.5,9.8,31.5\n{T + 1},0,0,0,0,0,9.8,\n"
+    )
+    assert read_samples(path, Imu) == [
+        Imu(
+            time_ns=T,
+            angular_rate_rad_s=(0.01, -0.02, 0.03),
+            specific_force_m_s2=(0.4, -0.5, 9.8),
+            temperature_c=31.5,
+        ),
+        Imu(time_ns=T + 1, angular_rate_rad_s=(0.0, 0.0, 0.0), specific_force_m_s2=(0.0, 0.0, 9.8)),
+    ]
+
+
+@given(st.lists(messages(Imu), max_size=5))
+def test_written_inertial_samples_are_read_back_to_the_last_digit(
+    tmp_path_factory: pytest.TempPathFactory, samples: list[Imu]
+) -> None:
+    path = tmp_path_factory.mktemp("imu") / "imu.csv"
+    write_samples(path, Imu, samples)
+    again = read_samples(path, Imu)
+    assert [one.time_ns for one in again] == [one.time_ns for one in samples]
+    for one, other in zip(again, samples, strict=True):
+        assert one.angular_rate_rad_s == pytest.approx(other.angular_rate_rad_s, abs=1e-9)
+        assert one.specific_force_m_s2 == pytest.approx(other.specific_force_m_s2, abs=1e-9)
+        assert one.temperature_c == pytest.approx(other.temperature_c, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ("0,0,0,0,0", "columns is '6 fields', expected 7 fields, as the header names"),
+        ("0,0,,0,0,9.8", "angular_rate_z_rad_s is '', expected a number"),
+        ("0,fast,0,0,0,9.8", "angular_rate_y_rad_s is 'fast', expected a number"),
+        ("0,0,36,0,0,9.8", "angular_rate_z_rad_s is '36', expected Input should be less than or equal to 35"),
+        ("0,0,0,0,nan,9.8", "specific_force_y_m_s2 is 'nan', expected Input should be a finite number"),
+        ("0,0,0,-401,0,9.8", "specific_force_x_m_s2 is '-401', expected"),
+    ],
+)
+def test_a_bad_inertial_sample_is_one_line_with_its_axis(tmp_path: Path, row: str, expected: str) -> None:
+    with pytest.raises(FormatError) as error:
+        read_samples(written(tmp_path, f"{INERTIAL}\n{T},0,0,0,0,0,9.8\n{T},{row}\n"), Imu)
+    assert str(error.value).startswith(f"motion.csv:3: {expected}")

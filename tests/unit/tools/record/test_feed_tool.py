@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
 from camber.formats.receiver.rtklib_pos import PosDecoder
@@ -25,7 +26,7 @@ from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from camber.tools.record import feed
 from camber.tools.record.feed import Epoch, epochs_of, passes, reversed_drive
 from support.fake_bus import FakeBus
@@ -111,6 +112,27 @@ def test_a_missing_reading_stays_missing_in_reverse() -> None:
     epoch = Epoch(time_ns=_START_NS, samples=(("motion", Motion(time_ns=_START_NS, wheel_speed_m_s=1.0)),))
     (back,) = motions(reversed_drive([epoch]))
     assert (back.wheel_speed_m_s, back.yaw_rate_rad_s) == (-1.0, None)
+
+
+def test_inertial_samples_are_fed_and_in_reverse_turn_back_under_the_same_forces(tmp_path: Path) -> None:
+    samples = [
+        Imu(
+            time_ns=_START_NS + k * 5_000_000,
+            angular_rate_rad_s=(0.1, 0.2, k / 10),
+            specific_force_m_s2=(k, 0.5, 9.8),
+        )
+        for k in range(3)
+    ]
+    write_samples(tmp_path / "imu.csv", Imu, samples)
+    manifest = tmp_path / "drive.toml"
+    manifest.write_text('name = "turns"\n[imu]\nfile = "imu.csv"\nclass = "phone"\n')
+    epochs = epochs_of(prepare_drive(load_manifest(manifest), tmp_path))
+    assert [sample for epoch in epochs for sample in epoch.samples] == [("imu", sample) for sample in samples]
+    back = [message for epoch in reversed_drive(epochs) for _, message in epoch.samples]
+    assert [one.time_ns for one in back] == [one.time_ns for one in samples]
+    assert [one.angular_rate_rad_s for one in back] == [(-0.1, -0.2, -k / 10) for k in (2, 1, 0)]
+    assert [one.specific_force_m_s2 for one in back] == [(k, 0.5, 9.8) for k in (2, 1, 0)]
+    assert reversed_drive(reversed_drive(epochs)) == epochs
 
 
 def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: tuple[Epoch, ...]) -> None:
