@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.schemas.base import Model, Name, Text
+from camber.schemas.motion import ImuClass, MountedImu
 from camber.schemas.toml_file import FileError, Overrides, load_toml
 from camber.simulator.injected_faults import Fault, refused_sum
 from camber.simulator.world.district import KINDS, Kind
@@ -73,6 +74,16 @@ class Lidar(Model):
     )
 
 
+class SimulatedImu(MountedImu):
+    """The inertial measurement unit."""
+
+    imu_class: ImuClass = Field(default="mems", alias="class", description="phone, mems or tactical")
+    rate_hz: float = Field(default=200.0, ge=50.0, le=400.0, description="samples a second")
+    x_m: float = Field(default=0.2, ge=-50.0, le=50.0, description="forward of the rear axle's middle")
+    y_m: float = Field(default=-0.1, ge=-50.0, le=50.0, description="left of it")
+    z_m: float = Field(default=0.4, ge=-50.0, le=50.0, description="above the road at rest")
+
+
 class Satellites(Model):
     """What the sky and the receiver give."""
 
@@ -129,9 +140,14 @@ class Scenario(Model):
         default="plain",
         description="plain, or automotive: with instability, warming, scale and misalignment too",
     )
+    motion: bool = Field(
+        default=True,
+        description="has the vehicle wheel speed, yaw rate, steering and attitude? false: no motion.csv",
+    )
     place: DistrictPlace = Field(description="table with the district")
     satellites: Satellites = Field(default=Satellites(), description="table of what is received")
     lidar: Lidar | None = Field(default=None, description="table of the surround sensor")
+    imu: SimulatedImu | None = Field(default=None, description="table of an inertial measurement unit")
     fleet: Fleet | None = Field(default=None, description="table of a fleet; then nothing else is made")
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = Field(
         default=(), max_length=64, description="list of what goes wrong, and when"
@@ -154,12 +170,20 @@ class Scenario(Model):
         cannot = {
             "a table lidar": self.lidar is None and kinds & {"blocked_lidar", "symmetric_scene"},
             "vehicle = 'car': a robot has no springs": self.vehicle == "robot" and kinds & {"changed_load"},
+            "motion = true: no wheel speed is measured": not self.motion and kinds & {"wheel_slip"},
             "no table fleet": self.fleet is not None and kinds,
         }
         for expected, idle in cannot.items():
             if idle:
                 text = "fault {kind} cannot act, expected {expected}"
                 raise PydanticCustomError("idle", text, {"kind": min(idle), "expected": expected})
+        return self
+
+    @model_validator(mode="after")
+    def _packets_have_motion(self) -> Self:
+        if not self.motion and self.lidar is not None and self.lidar.packets is not None:
+            text = "lidar.packets is set, expected motion = true: its CAN bus carries the motion"
+            raise PydanticCustomError("packets", text)
         return self
 
     @model_validator(mode="after")

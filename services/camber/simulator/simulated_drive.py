@@ -38,6 +38,7 @@ from camber.simulator.satellites.track import AntennaTrack, static_track
 from camber.simulator.scenario import Scenario, ScenarioError
 from camber.simulator.scene import Booleans, Floats, Integers, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, ROBOT, VehicleBody
+from camber.simulator.vehicle.imu import UNITS, ImuReadings, read_imu
 from camber.simulator.vehicle.motion import RATE_HZ, drive
 from camber.simulator.vehicle.rate_sensor import AUTOMOTIVE_YAW_RATE
 from camber.simulator.vehicle.sensors import SensorSet, VehicleReadings, read_sensors
@@ -81,6 +82,7 @@ class SimulatedDrive:
     trajectory: Trajectory
     tracer: ShapeTracer
     readings: VehicleReadings
+    imu: ImuReadings | None
     epoch_ns: Integers
     of_epoch: Integers
     outputs: tuple[ReceiverOutput, ...]
@@ -157,6 +159,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         trajectory=trajectory,
         tracer=ShapeTracer(shapes),
         readings=read_sensors(trajectory, body, path.surface_m, sensors_of(scenario), seed=seed),
+        imu=_imu_readings(scenario, body, trajectory, frame),
         epoch_ns=epoch_ns,
         of_epoch=of_epoch,
         outputs=outputs,
@@ -176,6 +179,16 @@ def sensors_of(scenario: Scenario) -> SensorSet:
     """The vehicle's sensors of a scenario."""
     automotive = scenario.yaw_rate_sensor == "automotive"
     return replace(SENSORS, yaw_rate=AUTOMOTIVE_YAW_RATE) if automotive else SENSORS
+
+
+def _imu_readings(
+    scenario: Scenario, body: VehicleBody, trajectory: Trajectory, frame: LocalFrame
+) -> ImuReadings | None:
+    imu = scenario.imu
+    if imu is None:
+        return None
+    unit = UNITS[imu.imu_class]
+    return read_imu(trajectory, body, frame, imu, unit=unit, rate_hz=imu.rate_hz, seed=scenario.seed)
 
 
 def district_of(scenario: Scenario, changed_roads: dict[int, float] | None = None) -> District:

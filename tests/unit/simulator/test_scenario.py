@@ -54,6 +54,8 @@ def tyre(onset_s: float, end_s: float, change_m: float) -> str:
     ("override", "message"),
     [
         ("place.kind=town", "place.kind is 'town': should be 'open-sky', 'city', 'canyon', 'canyons', 'overpass' or"),
+        ("imu.class=gyro", "imu.class is 'gyro': should be 'phone', 'mems' or 'tactical'"),
+        ("imu.rate_hz=1000", "imu.rate_hz is '1000'"),
         ("place.colour=1", "place.colour is not known; expected one of kind, latitude_deg"),
         ("start=2026-03-20T01:30:00Z", "expected a date and time of GPS time, without a zone"),
         ("satellites.rate_hz=3", "satellites.rate_hz is '3'"),
@@ -129,12 +131,25 @@ def test_faults_are_chosen_by_their_kind() -> None:
     [
         ("seed=1", 'kind="blocked_lidar", share=0.5', "blocked_lidar cannot act, expected a table lidar"),
         ('vehicle="robot"', 'kind="changed_load", load_kg=1.0', "changed_load cannot act, expected vehicle = 'car'"),
+        ("motion=false", 'kind="wheel_slip", factor=1.2', "wheel_slip cannot act, expected motion = true"),
         ("fleet.vehicles=2", 'kind="missing_epochs"', "missing_epochs cannot act, expected no table fleet"),
     ],
 )  # fmt: skip
 def test_a_fault_that_could_not_act_is_refused(override: str, fault: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         load_scenario("open-sky", [override, f"faults=[{{onset_s=1.0, {fault}}}]"])
+
+
+def test_packets_of_a_lidar_need_the_motion_on_their_can_bus() -> None:
+    with pytest.raises(ScenarioError, match=r"lidar\.packets is set, expected motion = true"):
+        load_scenario("open-sky", ["motion=false", "lidar.packets=ouster"])
+
+
+def test_an_inertial_unit_is_none_unless_it_is_asked_for() -> None:
+    assert load_scenario("open-sky").imu is None
+    imu = load_scenario("open-sky", ["imu={}"]).imu
+    assert imu is not None
+    assert (imu.imu_class, imu.rate_hz) == ("mems", 200.0)
 
 
 @pytest.mark.parametrize("vehicle", ["car", "robot"])

@@ -6,7 +6,7 @@ base.rtcm                       RTCM 3: 1005, MSM7, ephemerides
 receiver.pos receiver.nmea      what the receiver solved by itself
 receiver_arrivals.csv           when each part of receiver.pos was sent, by a correct clock
 rover_arrivals.csv              the same for rover.obs
-motion.csv suspension.csv ranging.csv
+motion.csv suspension.csv ranging.csv imu.csv
 sweeps/<time_ns>.pcd            one point cloud a turn
 lidar.pcap lidar.json           the LiDAR's packets, and an Ouster's metadata, where a scenario asks for packets
 can.log can.dbc sensors.toml    then also the CAN bus, and settings for `camber sensors` to read them
@@ -41,7 +41,7 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.arrivals import write_arrivals
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.schemas.motion import Imu, Motion, Ranging, Suspension
 from camber.simulator.injected_faults import ChangedRoad, WrongMap
 from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.output.drive_manifest import manifest_text
@@ -52,6 +52,7 @@ from camber.simulator.scene import Booleans, Floats, Integers
 from camber.simulator.scene import Path as VehiclePath
 from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by_link
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
+from camber.simulator.vehicle.imu import imu_messages
 from camber.simulator.vehicle.lidar import Scan, SimulatedLidar
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensors import motion_messages, ranging_messages, suspension_messages
@@ -80,7 +81,10 @@ def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
         (folder / "rover.ubx").write_bytes(b"".join(_ubx(drive)))
         (folder / "base.rtcm").write_bytes(b"".join(_rtcm(drive)))
     yield "sensors"
-    write_samples(folder / "motion.csv", Motion, motion_messages(drive.readings))
+    if drive.scenario.motion:
+        write_samples(folder / "motion.csv", Motion, motion_messages(drive.readings))
+    if drive.imu is not None:
+        write_samples(folder / "imu.csv", Imu, imu_messages(drive.imu))
     write_samples(folder / "ranging.csv", Ranging, ranging_messages(drive.readings, SENSORS, drive.body))
     strokes = suspension_messages(drive.readings, SENSORS)
     if strokes:

@@ -10,6 +10,7 @@ import numpy as np
 from camber.geodesy.angles import wrap_pi
 from camber.simulator.injected_faults import DroppedProcess, of_kind
 from camber.simulator.random_streams import stream
+from camber.simulator.scenario import SimulatedImu
 from camber.simulator.simulated_drive import SimulatedDrive
 from camber.simulator.vehicle.body import Point, VehicleBody
 
@@ -42,7 +43,8 @@ rover_arrivals = "rover_arrivals.csv"
 base_obs = "base.obs"
 ephemerides = ["brdc.nav"]
 """,
-        '[motion]\nfile = "motion.csv"\n',
+        '[motion]\nfile = "motion.csv"\n' if scenario.motion else "",
+        _imu(scenario.imu),
         '[suspension]\nfile = "suspension.csv"\n' if body.suspension is not None else "",
         '[ranging]\nfile = "ranging.csv"\n',
         '[sweeps]\nfolder = "sweeps"\n' if scenario.lidar is not None else "",
@@ -67,6 +69,14 @@ ephemerides = ["brdc.nav"]
 def _text(text: str) -> str:
     """As a TOML string: JSON's, but for the one control character that JSON leaves as it is."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _imu(imu: SimulatedImu | None) -> str:
+    if imu is None:
+        return ""
+    fields = imu.model_dump(exclude={"imu_class", "rate_hz"})
+    lines = ["[imu]", 'file = "imu.csv"', f'class = "{imu.imu_class}"']
+    return "\n".join([*lines, *(f"{name} = {value!r}" for name, value in fields.items()), ""])
 
 
 def _lever_arms(body: VehicleBody) -> dict[str, Point]:

@@ -22,7 +22,7 @@ from camber.map_server.elevation_queries import ElevationMap
 from camber.replay.drive_inputs import prepare_drive
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest
-from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.schemas.motion import Imu, Motion, Ranging, Suspension
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate as tool
 from support.gnss_files import read_pos
@@ -151,6 +151,45 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
     same = {name for name in first.keys() & other.keys() if first[name] == other[name]}
     # When its lines were sent, and how long they are, does not depend on their content.
     assert same <= {"receiver_arrivals.csv"}
+
+
+def test_an_inertial_unit_adds_its_file_and_leaves_all_others_as_they_are(tmp_path: Path) -> None:
+    short = ("duration_s=6.0", "lidar.beams=32", "lidar.traffic=2")
+    plain = digest(make(tmp_path / "a", "overpass", *short))
+    folder = make(
+        tmp_path / "b", "overpass", *short, "imu.class=phone", "imu.rate_hz=100", "imu.yaw_deg=90.0"
+    )
+    with_unit = digest(folder)
+    described = {"drive.toml", "scenario.json"}
+    assert with_unit.keys() - plain.keys() == {"imu.csv"}
+    assert {name for name in plain if plain[name] != with_unit[name]} == described
+    manifest = load_manifest(folder / "drive.toml")
+    assert manifest.imu is not None
+    mounted = manifest.imu.model_dump(exclude={"file"})
+    assert mounted == {
+        **{"imu_class": "phone", "x_m": 0.2, "y_m": -0.1, "z_m": 0.4},
+        **{"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 90.0},
+    }
+    samples = read_samples(manifest.imu.file, Imu)
+    assert len(samples) == pytest.approx(601, abs=2)
+    # Its y looks backwards: the vehicle speeds up from its rest of one second on.
+    forces = np.array([sample.specific_force_m_s2 for sample in samples])
+    assert forces[:, 2].mean() == pytest.approx(9.8, abs=0.9)
+    assert forces[250:400, 1].mean() - forces[:90, 1].mean() < -0.5
+    inputs = prepare_drive(manifest, tmp_path)
+    assert len(inputs.imu) == len(samples)
+
+
+def test_a_vehicle_without_wheel_speed_has_no_motion_and_all_else(tmp_path: Path) -> None:
+    short = ("duration_s=4.0", "satellites.streams=false", "imu.class=tactical")
+    plain = digest(make(tmp_path / "a", "open-sky", *short))
+    folder = make(tmp_path / "b", "open-sky", *short, "motion=false")
+    without = digest(folder)
+    assert plain.keys() - without.keys() == {"motion.csv"}
+    assert {name for name in without if plain[name] != without[name]} == {"drive.toml", "scenario.json"}
+    manifest = load_manifest(folder / "drive.toml")
+    assert manifest.motion is None
+    assert manifest.imu is not None
 
 
 def test_a_wrong_base_moves_all_fixes_alike_and_the_stations_message(faulty: Path) -> None:
