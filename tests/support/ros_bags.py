@@ -22,7 +22,7 @@ from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.replay.sweep_files import sweep_files
 from camber.schemas.drive import load_manifest
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import LeverArm, Motion
+from camber.schemas.motion import Imu, LeverArm, Motion
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 BagKind = Literal["mcap", "sqlite3", "ros1"]
@@ -80,6 +80,24 @@ class BagWriter:
         header = self.header(unix_ns, "base_link")
         kind = "geometry_msgs/msg/TwistStamped"
         self.write(topic, kind, unix_ns, self.new(kind, header=header, twist=twist))
+
+    def imu(self, topic: str, unix_ns: int, sample: Imu, **changes: Any) -> None:
+        """An Imu without orientation, recorded as it was measured."""
+
+        def vector(values: tuple[float, float, float]) -> Any:
+            return self.new("geometry_msgs/msg/Vector3", **dict(zip("xyz", values, strict=True)))
+
+        kind, unknown = "sensor_msgs/msg/Imu", np.zeros(9)
+        values = {
+            "header": self.header(unix_ns, "imu"),
+            "orientation": self.new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            "orientation_covariance": np.array([-1.0, *[0.0] * 8]),
+            "angular_velocity": vector(sample.angular_rate_rad_s),
+            "angular_velocity_covariance": unknown,
+            "linear_acceleration": vector(sample.specific_force_m_s2),
+            "linear_acceleration_covariance": unknown,
+        }
+        self.write(topic, kind, unix_ns, self.new(kind, **values | changes))
 
     def nav_sat_fix(self, topic: str, unix_ns: int, solution: ReceiverSolution, **changes: Any) -> None:
         status = min(STATUS_OF_QUALITY[solution.quality], 2)

@@ -14,7 +14,7 @@ from camber.formats.errors import FormatError
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.ros.message_types import gps_time_ns, stamp_unix_ns
 from camber.formats.ros.point_cloud2 import point_layout, sweep_from_point_cloud2
-from camber.formats.ros.sensor_messages import motion_of, solution_of
+from camber.formats.ros.sensor_messages import imu_of, motion_of, solution_of
 from camber.formats.ros.static_frames import StaticFrames
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
@@ -67,6 +67,8 @@ class SensorTopic:
         time_ns = gps_time_ns(stamp_unix_ns(content), self.name)
         if self.channel == "motion":
             return motion_of(content, time_ns)
+        if self.channel == "imu":
+            return imu_of(content, time_ns, self.name)
         return self._receiver_bytes(content, time_ns)
 
     def _receiver_bytes(self, content: Any, time_ns: int) -> ReceiverBytes | None:
@@ -92,7 +94,7 @@ class SensorTopic:
 
 
 def lever_arm_settings(frames: StaticFrames, base_frame: str, topic: SensorTopic) -> str | None:
-    """Return lines of settings by the static transforms: the LiDAR's or the antenna's place; None: not known."""
+    """Return lines of settings by the static transforms: place of LiDAR, IMU or antenna; None: not known."""
     base_from_sensor = frames.base_from(base_frame, topic.frame_id) if topic.frame_id else None
     if base_from_sensor is None or topic.channel == "motion":
         return None
@@ -103,6 +105,7 @@ def lever_arm_settings(frames: StaticFrames, base_frame: str, topic: SensorTopic
     angles = zip(
         ("roll", "pitch", "yaw"), roll_pitch_yaw_from_rotation(base_from_sensor[:3, :3]), strict=True
     )
-    turns = "; ".join(f"lidar_{name}_deg = {math.degrees(angle_rad):.2f}" for name, angle_rad in angles)
-    place = f"lidar_x_m = {x_m:.3f}; lidar_y_m = {y_m:.3f}; lidar_z_m = {z_m:.3f}"
+    sensor = "imu" if topic.channel == "imu" else "lidar"
+    turns = "; ".join(f"{sensor}_{name}_deg = {math.degrees(angle_rad):.2f}" for name, angle_rad in angles)
+    place = f"{sensor}_x_m = {x_m:.3f}; {sensor}_y_m = {y_m:.3f}; {sensor}_z_m = {z_m:.3f}"
     return f"localizer.toml: {place}; {turns}"

@@ -16,6 +16,7 @@ from camber.formats.ros.judged_messages import (
     verdict_message,
 )
 from camber.formats.ros.message_types import VERDICT_TYPE, stamp_unix_ns
+from camber.formats.ros.sensor_messages import IMU_TYPE
 from camber.formats.ros.static_frames import StaticFrames
 from camber.geodesy.gps_time import NS_PER_SECOND, unix_ns_from_gps_ns
 from camber.geodesy.local_frame import LocalFrame
@@ -40,7 +41,7 @@ from camber.runtime.settings import ZenohSettings
 from camber.schemas.channels import BY_NAME, SENSORS, VEHICLE_SERVICES
 from camber.schemas.integrity import Position, Verdict
 
-_LIMITS = {"sweep": 1, "motion": 256, "receiver_bytes": 64}
+_LIMITS = {"sweep": 1, "motion": 256, "imu": 512, "receiver_bytes": 64}
 """Messages that wait. Chosen: of sweeps the newest, as on the bus; of the others half a second and more."""
 _POSES = 64  # chosen: as those
 _STATIC_FRAMES = 100  # depth with which tf2 subscribes to /tf_static
@@ -102,6 +103,7 @@ class Ros2Service(Service[Ros2Settings]):
         topics = (
             SensorTopic(name=inputs.lidar, kind="sensor_msgs/msg/PointCloud2", channel="sweep"),
             SensorTopic(name=inputs.motion, kind=inputs.motion_type, channel="motion"),
+            SensorTopic(name=inputs.imu, kind=IMU_TYPE, channel="imu"),
             SensorTopic(name=inputs.receiver, kind=inputs.receiver_type, channel="receiver_bytes"),
         )
         return [

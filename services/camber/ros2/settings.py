@@ -30,6 +30,7 @@ class RosInputs(BaseModel):
         "geometry_msgs/msg/TwistStamped",
         "geometry_msgs/msg/TwistWithCovarianceStamped",
     ] = Field("nav_msgs/msg/Odometry", description="type of `motion`")
+    imu: OptionalTopicName = Field("/imu/data", description="Imu, published in its axes; empty: none")
     receiver: OptionalTopicName = Field(
         "",
         description="positions of a receiver for a gnss with source `bus`; empty: none",

@@ -16,6 +16,7 @@ from camber.runtime.raw_session import AttachedBytes, BoundedSubscription, RawSe
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 KINDS = (
     "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/NavSatFix",
     "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/TwistStamped",

@@ -18,7 +18,7 @@ from camber.formats.ros.static_frames import StaticFrames
 from camber.ros2.sensor_inputs import SensorTopic, StampError, lever_arm_settings
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 
 NS = 1_000_000_000
 NOW_NS = 1_400_000_000 * NS
@@ -109,6 +109,48 @@ def test_motion_of_no_vehicle_is_refused_and_unknown_motion_is_none() -> None:
     assert topic.counts["empty"] == 1
 
 
+def inertial(time_ns: int, *, yaw_rate_rad_s: float = 0.3, first_covariance: float = 0.0) -> Any:
+    covariance = np.array([first_covariance, *[0.0] * 8])
+    return new_message(
+        "sensor_msgs/msg/Imu",
+        header=header_at(time_ns, "imu_link"),
+        orientation=new_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.array([-1.0, *[0.0] * 8]),
+        angular_velocity=new_message("geometry_msgs/msg/Vector3", x=0.1, y=0.2, z=yaw_rate_rad_s),
+        angular_velocity_covariance=covariance,
+        linear_acceleration=new_message("geometry_msgs/msg/Vector3", x=0.5, y=0.25, z=9.75),
+        linear_acceleration_covariance=covariance,
+    )
+
+
+def imu_topic() -> SensorTopic:
+    return SensorTopic(name="/imu/data", kind="sensor_msgs/msg/Imu", channel="imu")
+
+
+def test_an_inertial_sample_has_the_axes_of_its_frame() -> None:
+    topic = imu_topic()
+    assert topic.message(inertial(NOW_NS - 1000), NOW_NS, "lidar") == Imu(
+        time_ns=NOW_NS - 1000, angular_rate_rad_s=(0.1, 0.2, 0.3), specific_force_m_s2=(0.5, 0.25, 9.75)
+    )
+    assert topic.frame_id == "imu_link"
+    with pytest.raises(StampError, match="/imu/data"):
+        topic.message(inertial(NOW_NS - NS), NOW_NS, "lidar")
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        (inertial(NOW_NS, first_covariance=-1.0), "/imu/data: angular_velocity_covariance is '-1'"),
+        (inertial(NOW_NS, yaw_rate_rad_s=math.nan), "/imu/data: angular_rate_rad_s.2 is 'nan'"),
+        (inertial(NOW_NS, yaw_rate_rad_s=-50.0), "/imu/data: angular_rate_rad_s.2 is '-50.0'"),
+    ],
+)
+def test_an_inertial_sample_that_lacks_something_is_one_line(message: Any, expected: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        imu_topic().message(message, NOW_NS, "lidar")
+    assert str(caught.value).startswith(expected)
+
+
 def test_a_cloud_without_times_is_a_sweep_and_counted() -> None:
     topic = SensorTopic(name="/points", kind="sensor_msgs/msg/PointCloud2", channel="sweep")
     sweep = topic.message(cloud(NOW_NS), NOW_NS, "roof")
@@ -160,6 +202,12 @@ def test_lever_arms_are_settings_of_the_services() -> None:
     assert text is not None
     assert "localizer.toml: lidar_x_m = 1.250; lidar_y_m = -0.500; lidar_z_m = 1.750" in text
     assert "lidar_pitch_deg = 90.00" in text, "nose down"
+    imu = imu_topic()
+    imu.frame_id = "top"
+    text = lever_arm_settings(frames("top"), "base_link", imu)
+    assert text is not None
+    assert "localizer.toml: imu_x_m = 1.250; imu_y_m = -0.500; imu_z_m = 1.750; imu_roll_deg = " in text
+    assert "imu_pitch_deg = 90.00" in text
     antenna = SensorTopic(name="/fix", kind=FIX, channel="receiver_bytes", frame_id="top")
     text = lever_arm_settings(frames("top"), "base_link", antenna)
     assert text is not None

@@ -1,7 +1,8 @@
-"""Positions of receivers and motion of the vehicle, from ROS messages.
+"""Positions of receivers, motion of the vehicle and inertial samples, from ROS messages.
 
 Sources: sensor_msgs/NavSatFix and NavSatStatus; gps_msgs/GPSFix and GPSStatus; nav_msgs/Odometry;
-geometry_msgs/TwistStamped and TwistWithCovarianceStamped (REP 103: metres, radians, x forward, z up).
+geometry_msgs/TwistStamped and TwistWithCovarianceStamped (REP 103: metres, radians, x forward, z up);
+sensor_msgs/Imu (REP 145: its acceleration is the specific force, +g upwards at rest).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from camber.formats.errors import FormatError
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 
 NAV_SAT_FIX = "sensor_msgs/msg/NavSatFix"
 GPS_FIXES = ("gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
@@ -24,6 +25,9 @@ MOTION_TYPES = (
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/TwistWithCovarianceStamped",
 )
+IMU_TYPE = "sensor_msgs/msg/Imu"
+_IMU_FIELDS = {"angular_rate_rad_s": "angular_velocity", "specific_force_m_s2": "linear_acceleration"}
+"""Fields of an Imu of Camber, and of ROS."""
 QUALITY_OF_STATUS = {
     0: SolutionQuality.SINGLE,
     1: SolutionQuality.SBAS,
@@ -77,6 +81,22 @@ def motion_of(message: Any, time_ns: int) -> Motion | None:
     values = {"wheel_speed_m_s": speed_m_s, "yaw_rate_rad_s": yaw_rate_rad_s}
     known = {name: value for name, value in values.items() if math.isfinite(value)}
     return Motion(time_ns=time_ns, **known) if known else None
+
+
+def imu_of(message: Any, time_ns: int, topic: str) -> Imu:
+    """Return the sample of an Imu, in the axes of its frame.
+
+    Raises FormatError where rates or forces are absent, which a covariance that begins with −1 means, and pydantic's
+    ValidationError for those that no such unit measures.
+    """
+    vectors: dict[str, Any] = {}
+    for field, name in _IMU_FIELDS.items():
+        if float(getattr(message, f"{name}_covariance")[0]) == -1.0:
+            expected = f"not -1, which means that there is no {name}"
+            raise FormatError(topic, f"{name}_covariance", expected, actual="-1")
+        vector = getattr(message, name)
+        vectors[field] = (float(vector.x), float(vector.y), float(vector.z))
+    return Imu(time_ns=time_ns, **vectors)
 
 
 def _covariance(message: Any, topic: str) -> EnuCovariance | None:

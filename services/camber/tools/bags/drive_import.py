@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from camber.formats.drive.motion_csv import MOTION_COLUMNS, sample_header, sample_line
+from camber.formats.drive.motion_csv import IMU_COLUMNS, MOTION_COLUMNS, sample_header, sample_line
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
@@ -22,14 +22,14 @@ from camber.formats.receiver.solution import SolutionQuality
 from camber.formats.ros.bag_reader import Bag, BagMessage, BagTopic, StampCheck
 from camber.formats.ros.message_types import stamp_unix_ns
 from camber.formats.ros.point_cloud2 import PointLayout, point_layout, sweep_from_point_cloud2
-from camber.formats.ros.sensor_messages import motion_of, solution_of
+from camber.formats.ros.sensor_messages import imu_of, motion_of, solution_of
 from camber.formats.ros.static_frames import StaticFrames
 from camber.schemas.base import Float64
 from camber.tools.bags.raw_bytes import RawBytes
 from camber.tools.bags.topic_choice import BYTES_TYPES, TF_STATIC, DriveTopics
 
 SENSOR = "lidar"
-SWEEPS, POSITIONS, MOTION = "sweeps", "receiver.pos", "motion.csv"
+SWEEPS, POSITIONS, MOTION, IMU = "sweeps", "receiver.pos", "motion.csv", "imu.csv"
 _SAME_AXES = 1e-9  # chosen: rounding of a quaternion
 
 
@@ -87,7 +87,7 @@ def static_frames(bag: Bag) -> StaticFrames:
 
 
 def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
-    """Write sweeps, receiver.pos, motion.csv and raw files; the tallies say what was taken.
+    """Write sweeps, receiver.pos, motion.csv, imu.csv and raw files; the tallies say what was taken.
 
     Raises FormatError where a topic has no usable message or the bag is damaged, OSError.
     """
@@ -107,7 +107,7 @@ def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
         if tally.first_fault is not None and not tally.taken:
             raise tally.first_fault
     if not any(tally.taken for tally in parts.tallies.values()):
-        expected = "a position, a sample of motion, a sweep or a frame of UBX or RTCM 3"
+        expected = "a position, a sample of motion or an IMU, a sweep or a frame of UBX or RTCM 3"
         raise FormatError(", ".join(topics.names), "messages", expected)
 
 
@@ -116,6 +116,7 @@ class _Streams:
     sweeps: Path
     positions: BufferedWriter | None
     motion: BufferedWriter | None
+    imu: BufferedWriter | None
 
 
 @contextmanager
@@ -135,6 +136,7 @@ def _files(folder: Path, topics: DriveTopics) -> Iterator[_Streams]:
             sweeps=folder / SWEEPS,
             positions=None if topics.receiver is None else opened(POSITIONS, positions_header),
             motion=None if topics.odometry is None else opened(MOTION, motion_header),
+            imu=None if topics.imu is None else opened(IMU, sample_header(IMU_COLUMNS).encode()),
         )
 
 
@@ -158,7 +160,7 @@ def _take(bag: Bag, message: BagMessage, check: StampCheck, *, parts: DriveParts
         except ValueError as error:
             raise FormatError(message.topic, "position", f"finite numbers: {error}") from None
         tally.qualities[solution.quality] += 1
-    elif not _write_motion(content, time_ns, message.topic, streams):
+    elif not _write_sample(content, time_ns, tally.topic, parts=parts, streams=streams):
         return False
     tally.frame_id = tally.frame_id or getattr(content, "child_frame_id", content.header.frame_id)
     return True
@@ -177,13 +179,20 @@ def _write_sweep(content: Any, tally: TopicTally, *, parts: DriveParts, folder: 
     tally.layout = tally.layout or layout
 
 
-def _write_motion(content: Any, time_ns: int, topic: str, streams: _Streams) -> bool:
+def _write_sample(
+    content: Any, time_ns: int, topic: BagTopic, *, parts: DriveParts, streams: _Streams
+) -> bool:
+    """Write a sample of the odometry or of the inertial measurement unit."""
+    is_imu = topic == parts.topics.imu
+    stream, columns = (streams.imu, IMU_COLUMNS) if is_imu else (streams.motion, MOTION_COLUMNS)
     try:
-        motion = motion_of(content, time_ns)
+        sample = imu_of(content, time_ns, topic.name) if is_imu else motion_of(content, time_ns)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise FormatError(topic, str(first["loc"][0]), first["msg"], actual=str(first["input"])) from None
-    if motion is None or streams.motion is None:
+        raise FormatError(
+            topic.name, ".".join(map(str, first["loc"])), first["msg"], actual=str(first["input"])
+        ) from None
+    if sample is None or stream is None:
         return False
-    streams.motion.write(sample_line(motion, MOTION_COLUMNS).encode())
+    stream.write(sample_line(sample, columns).encode())
     return True

@@ -29,7 +29,7 @@ _BASE_FRAMES = ("base_footprint", "base_link")  # REP 120, REP 105
 def main(argv: Sequence[str]) -> int:
     """Import one recording; 0 done, 2 the bag cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
-    names = TopicNames(lidar=args.lidar, receiver=args.receiver, odometry=args.odometry)
+    names = TopicNames(lidar=args.lidar, receiver=args.receiver, odometry=args.odometry, imu=args.imu)
 
     def work() -> str:
         return import_bag(args.bag, args.out, names, base_frame=args.base_frame)
@@ -80,5 +80,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--lidar", metavar="TOPIC", help="PointCloud2 to take, where there are several")
     add("--receiver", metavar="TOPIC", help="NavSatFix or GPSFix to take")
     add("--odometry", metavar="TOPIC", help="Odometry, TwistStamped or TwistWithCovarianceStamped to take")
+    add("--imu", metavar="TOPIC", help="Imu to take")
     add("--base-frame", metavar="FRAME", help="the vehicle's frame (default base_footprint, else base_link)")
     return parser

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from itertools import pairwise
 
 from camber.formats.ros.sensor_messages import NAV_SAT_FIX
-from camber.tools.bags.drive_import import MOTION, POSITIONS, SWEEPS, DriveParts, TopicTally
+from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
+from camber.tools.bags.drive_import import IMU, MOTION, POSITIONS, SWEEPS, DriveParts, TopicTally
 from camber.tools.bags.raw_bytes import RawFile
 
 _LATEST_S = 1.0  # chosen: no driver takes longer from measurement to message; clocks differ by whole seconds
@@ -37,6 +39,7 @@ def imported_manifest(name: str, bags: Sequence[str], parts: DriveParts) -> str:
         _receiver(parts.tally(parts.topics.receiver)),
         _observations(parts.raw.files),
         _motion(parts.tally(parts.topics.odometry)),
+        _imu(parts.tally(parts.topics.imu), parts),
         _sweeps(parts.tally(parts.topics.lidar), parts),
         _clocks([tally for tally in parts.tallies.values() if tally.delays_ns]),
         *_lever_arms(parts),
@@ -101,6 +104,21 @@ def _motion(tally: TopicTally | None) -> list[str]:
         "# guess: it is of wheels and a gyroscope. If satellites, LiDAR or a filter are in it, leave it out"
     )
     return [*_about(tally), guess, "[motion]", f'file = "{MOTION}"']
+
+
+def _imu(tally: TopicTally | None, parts: DriveParts) -> list[str]:
+    if tally is None:
+        return ["# missing: an inertial measurement unit"]
+    lines = [*_about(tally), "# guess: its class; mems or tactical, if it is as accurate as those"]
+    base_from_unit = parts.base_from(tally.frame_id)
+    table = ["[imu]", f'file = "{IMU}"', 'class = "phone"']
+    if base_from_unit is None:
+        lines.append(f"# missing: where {tally.frame_id!r} is; guess: its axes are the vehicle's")
+        return [*lines, *table]
+    places = zip("xyz", base_from_unit[:3, 3].tolist(), strict=True)
+    turns = zip(("roll", "pitch", "yaw"), roll_pitch_yaw_from_rotation(base_from_unit[:3, :3]), strict=True)
+    table += [f"{axis}_m = {place_m:.6g}" for axis, place_m in places]
+    return [*lines, *table, *(f"{name}_deg = {math.degrees(angle):.6g}" for name, angle in turns)]
 
 
 def _sweeps(tally: TopicTally | None, parts: DriveParts) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from camber.formats.errors import FormatError
 from camber.formats.ros.bag_reader import BagTopic
-from camber.formats.ros.sensor_messages import MOTION_TYPES, RECEIVER_TYPES
+from camber.formats.ros.sensor_messages import IMU_TYPE, MOTION_TYPES, RECEIVER_TYPES
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 BYTES_TYPES = {
@@ -26,6 +26,7 @@ class TopicNames:
     lidar: str | None = None
     receiver: str | None = None
     odometry: str | None = None
+    imu: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,13 +36,14 @@ class DriveTopics:
     lidar: BagTopic | None
     receiver: BagTopic | None
     odometry: BagTopic | None
+    imu: BagTopic | None
     raw: tuple[BagTopic, ...]
     rest: tuple[BagTopic, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """The topics to read."""
-        single = (self.lidar, self.receiver, self.odometry)
+        single = (self.lidar, self.receiver, self.odometry, self.imu)
         return tuple(topic.name for topic in (*single, *self.raw) if topic is not None)
 
 
@@ -50,14 +52,24 @@ def choose_topics(topics: Mapping[str, BagTopic], names: TopicNames, bag: str) -
     lidar = _choose(topics, "lidar", {POINT_CLOUD2}, names.lidar)
     receiver = _choose(topics, "receiver", set(RECEIVER_TYPES), names.receiver)
     odometry = _choose(topics, "odometry", set(MOTION_TYPES), names.odometry)
+    imu = _choose(topics, "imu", {IMU_TYPE}, names.imu)
     raw = tuple(topic for topic in topics.values() if topic.kind in BYTES_TYPES)
-    if not (lidar or receiver or odometry or raw):
-        kinds = ("PointCloud2", "NavSatFix", "GPSFix", "Odometry", "TwistStamped", "bytes of a receiver")
+    single = (lidar, receiver, odometry, imu)
+    if not (any(single) or raw):
+        kinds = (
+            "PointCloud2",
+            "NavSatFix",
+            "GPSFix",
+            "Odometry",
+            "TwistStamped",
+            "Imu",
+            "bytes of a receiver",
+        )
         expected = f"one of {', '.join(kinds)}; it has {_listed(topics.values())}"
         raise FormatError(bag, "topics", expected)
-    taken = {topic.name for topic in (lidar, receiver, odometry, *raw) if topic is not None} | {TF_STATIC}
+    taken = {topic.name for topic in (*single, *raw) if topic is not None} | {TF_STATIC}
     rest = tuple(topic for name, topic in topics.items() if name not in taken)
-    return DriveTopics(lidar=lidar, receiver=receiver, odometry=odometry, raw=raw, rest=rest)
+    return DriveTopics(lidar=lidar, receiver=receiver, odometry=odometry, imu=imu, raw=raw, rest=rest)
 
 
 def _choose(

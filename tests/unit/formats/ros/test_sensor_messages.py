@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from camber.formats.errors import FormatError
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.formats.ros.sensor_messages import GPS_FIXES, NAV_SAT_FIX, motion_of, solution_of
-from camber.schemas.motion import Motion
+from camber.formats.ros.sensor_messages import GPS_FIXES, NAV_SAT_FIX, imu_of, motion_of, solution_of
+from camber.schemas.motion import Imu, Motion
 
 T = 1_400_000_000_000_000_000
 COVARIANCE = np.array([4.0, 0.1, 0.2, 0.1, 5.0, 0.3, 0.2, 0.3, 9.0])
@@ -107,3 +107,38 @@ def test_what_is_not_finite_is_not_known() -> None:
     assert motion_of(SimpleNamespace(twist=twist(math.nan, math.inf)), T) is None
     with pytest.raises(ValidationError):
         motion_of(SimpleNamespace(twist=twist(2000.0, 0.0)), T)
+
+
+def inertial(**changes: Any) -> Any:
+    values: dict[str, Any] = {
+        "angular_velocity": SimpleNamespace(x=0.1, y=-0.2, z=0.3),
+        "angular_velocity_covariance": np.zeros(9),
+        "linear_acceleration": SimpleNamespace(x=1.0, y=-2.0, z=9.8),
+        "linear_acceleration_covariance": np.eye(3).ravel(),
+        "orientation_covariance": np.array([-1.0, *[0.0] * 8]),
+    }
+    return SimpleNamespace(**values | changes)
+
+
+def test_an_imu_gives_rates_and_forces_in_its_axes_and_needs_no_orientation() -> None:
+    assert imu_of(inertial(), T, "/imu") == Imu(
+        time_ns=T, angular_rate_rad_s=(0.1, -0.2, 0.3), specific_force_m_s2=(1.0, -2.0, 9.8)
+    )
+
+
+@pytest.mark.parametrize("name", ["angular_velocity", "linear_acceleration"])
+def test_an_imu_without_rates_or_forces_is_one_line(name: str) -> None:
+    """REP 145 and the message: −1 as the first number of a covariance means that there is none."""
+    absent = {f"{name}_covariance": np.array([-1.0, *[0.0] * 8])}
+    with pytest.raises(FormatError) as caught:
+        imu_of(inertial(**absent), T, "/imu")
+    assert (
+        str(caught.value)
+        == f"/imu: {name}_covariance is '-1', expected not -1, which means that there is no {name}"
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 36.0])
+def test_a_rate_that_no_unit_measures_is_refused(value: float) -> None:
+    with pytest.raises(ValidationError, match="angular_rate_rad_s"):
+        imu_of(inertial(angular_velocity=SimpleNamespace(x=0.0, y=value, z=0.0)), T, "/imu")

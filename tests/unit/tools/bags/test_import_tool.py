@@ -14,12 +14,12 @@ from camber.formats.drive.motion_csv import read_samples
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.geodesy.gps_time import gps_ns_from_unix_ns
+from camber.geodesy.gps_time import gps_ns_from_unix_ns, unix_ns_from_gps_ns
 from camber.replay.drive_inputs import prepare_drive
 from camber.replay.sweep_files import sweep_files
 from camber.schemas.drive import DriveManifest, load_manifest
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import LeverArm, Motion
+from camber.schemas.motion import Imu, LeverArm, Motion
 from camber.simulator.scenario import load_scenario
 from camber.tools.bags import import_command
 from camber.tools.simulate import simulate
@@ -155,6 +155,75 @@ def test_sweeps_without_times_of_points_are_taken_and_named(tmp_path: Path) -> N
     assert "# guess: axes of 'lidar' are the vehicle's" in text
 
 
+def samples() -> list[Imu]:
+    start_ns = gps_ns_from_unix_ns(UNIX_NS)
+    return [
+        Imu(
+            time_ns=start_ns + k * 5_000_000,
+            angular_rate_rad_s=(0.01 * k, -0.02, 0.125),
+            specific_force_m_s2=(0.5, -0.25, 9.75),
+        )
+        for k in range(20)
+    ]
+
+
+def add_samples(bag: BagWriter, topic: str = "/imu/data", **changes: Any) -> None:
+    for sample in samples():
+        bag.imu(topic, unix_ns_from_gps_ns(sample.time_ns), sample, **changes)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_inertial_samples_come_with_their_mounting(tmp_path: Path, kind: BagKind) -> None:
+    def fill(bag: BagWriter) -> None:
+        bag.static_transforms(
+            UNIX_NS, {"imu": LeverArm(x_m=0.2, y_m=-0.1, z_m=0.4)}, {"imu": math.radians(-90.0)}
+        )
+        add_samples(bag)
+
+    bag = made(tmp_path / ("tour.bag" if kind == "ros1" else "tour"), fill, kind)
+    manifest = imported(bag, tmp_path / "drive")
+    assert manifest.imu is not None
+    assert manifest.imu.model_dump(exclude={"file"}) == pytest.approx(
+        {
+            **{"imu_class": "phone", "x_m": 0.2, "y_m": -0.1, "z_m": 0.4},
+            **{"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": -90.0},
+        }
+    )
+    assert read_samples(manifest.imu.file, Imu) == samples()
+    text = (tmp_path / "drive" / "drive.toml").read_text()
+    assert "# guess: its class; mems or tactical, if it is as accurate as those" in text
+    assert "# missing: an inertial measurement unit" not in text
+
+
+def test_an_inertial_unit_whose_place_is_not_known_is_guessed_to_have_the_vehicles_axes(
+    tmp_path: Path,
+) -> None:
+    manifest = imported(made(tmp_path / "bag", add_samples), tmp_path / "drive")
+    assert manifest.imu is not None
+    assert manifest.imu.yaw_deg == 0.0
+    text = (tmp_path / "drive" / "drive.toml").read_text()
+    assert "# missing: where 'imu' is; guess: its axes are the vehicle's" in text
+
+
+def test_of_two_inertial_units_one_must_be_chosen(tmp_path: Path, refused: Refused) -> None:
+    def fill(bag: BagWriter) -> None:
+        add_samples(bag, "/imu/data")
+        add_samples(bag, "/ouster/imu")
+
+    bag = made(tmp_path / "bag", fill)
+    assert "choose with --imu TOPIC" in refused(import_command.main, bag, "--out", tmp_path / "drive")
+    imported(bag, tmp_path / "drive", "--imu", "/ouster/imu")
+    assert "# not taken: /imu/data" in (tmp_path / "drive" / "drive.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["angular_velocity", "linear_acceleration"])
+def test_an_imu_that_measures_only_half_is_one_line(tmp_path: Path, refused: Refused, name: str) -> None:
+    absent = {f"{name}_covariance": np.array([-1.0, *[0.0] * 8])}
+    bag = made(tmp_path / "bag", lambda bag: add_samples(bag, **absent))
+    line = refused(import_command.main, bag, "--out", tmp_path / "drive")
+    assert f"/imu/data: {name}_covariance is '-1', expected not -1" in line
+
+
 def test_of_two_lidars_one_must_be_chosen(tmp_path: Path, refused: Refused) -> None:
     def fill(bag: BagWriter) -> None:
         add_sweep(bag, "/front/points", UNIX_NS)
@@ -240,7 +309,7 @@ def test_a_receiver_without_position_is_missing_and_alone_one_line(tmp_path: Pat
 
     line = refused(import_command.main, made(tmp_path / "none", none), "--out", tmp_path / "drive")
     assert line.endswith(
-        "/fix: messages, expected a position, a sample of motion, a sweep or a frame of UBX or RTCM 3"
+        "/fix: messages, expected a position, a sample of motion or an IMU, a sweep or a frame of UBX or RTCM 3"
     )
     manifest = imported(made(tmp_path / "bag", and_motion), tmp_path / "drive")
     assert manifest.receiver is None
