@@ -30,7 +30,7 @@ from camber.runtime.subscription import Subscription
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from support.running import (
     CLOCK,
     bus_of,
@@ -54,6 +54,7 @@ POINTS = (
     "42/lidar/points/sensor_msgs::msg::dds_::PointCloud2_/"
     "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
 )
+IMU = "42/imu/data/sensor_msgs::msg::dds_::Imu_/RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 RECEIVER = (
     "42/gps/fix/sensor_msgs::msg::dds_::NavSatFix_/"
     "RIHS01_62223ab3fe210a15976021da7afddc9e200dc9ec75231c1b6a557fc598a65404"
@@ -175,6 +176,22 @@ def odometry(unix_ns: int, speed_m_s: float) -> Any:
     )
 
 
+def inertial(unix_ns: int) -> Any:
+    def vector(x: float, y: float, z: float) -> Any:
+        return new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    return new(
+        "sensor_msgs/msg/Imu",
+        header=header(unix_ns, "imu_link"),
+        orientation=new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.array([-1.0, *[0.0] * 8]),
+        angular_velocity=vector(0.25, -0.5, 0.125),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(1.5, -0.25, 9.75),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
 def cloud(unix_ns: int) -> Any:
     """Three points as an Ouster's driver gives them, the last of them not measured."""
     row = np.dtype({"names": ["x", "y", "z", "t"], "formats": ["<f4", "<f4", "<f4", "<u4"], "itemsize": 16})
@@ -291,6 +308,7 @@ class Bench:
         self.receiver = node.advertise(13, RECEIVER)
         self.gnss = node.advertise(14, GNSS_POSE)
         self.ndt = node.advertise(15, NDT_POSE)
+        self.imu = node.advertise(16, IMU)
 
     def statuses(self) -> list[int]:
         return [message.status.status for message, _, _ in self.node.received[FIX]]
@@ -387,8 +405,8 @@ def test_attachments_count_and_name_the_publisher_of_the_token(bench: Bench) -> 
         assert gid == xxhash.xxh3_128(token.encode()).intdigest().to_bytes(16, "little")
 
 
-def test_motion_and_sweeps_come_onto_the_bus_with_gps_times(bench: Bench) -> None:
-    with Subscription("sweep", "motion", vehicle="car", connect=[bench.endpoint]) as subscription:
+def test_motion_inertial_samples_and_sweeps_come_onto_the_bus_with_gps_times(bench: Bench) -> None:
+    with Subscription("sweep", "motion", "imu", vehicle="car", connect=[bench.endpoint]) as subscription:
         stamps: set[int] = set()
         received: dict[type, Any] = {}
 
@@ -396,17 +414,24 @@ def test_motion_and_sweeps_come_onto_the_bus_with_gps_times(bench: Bench) -> Non
             unix_ns = time.time_ns()
             stamps.add(unix_ns)
             bench.odom(odometry(unix_ns, 7.5))
+            bench.imu(inertial(unix_ns))
             bench.points(cloud(unix_ns - 50_000_000))
 
-        def both() -> bool:
+        def all_three() -> bool:
             while (message := subscription.next(0.0)) is not None:
                 received[type(message)] = message
-            return len(received) == 2
+            return len(received) == 3
 
-        bench.publish_until(give, both, "no motion and sweep")
+        bench.publish_until(give, all_three, "no motion, inertial sample and sweep")
     moved: Motion = received[Motion]
     assert (moved.wheel_speed_m_s, moved.yaw_rate_rad_s) == (7.5, 0.125)
     assert unix_ns_of(moved.time_ns) in stamps
+    sample: Imu = received[Imu]
+    assert (sample.angular_rate_rad_s, sample.specific_force_m_s2) == (
+        (0.25, -0.5, 0.125),
+        (1.5, -0.25, 9.75),
+    )
+    assert unix_ns_of(sample.time_ns) in stamps
     sweep: Sweep = received[Sweep]
     assert unix_ns_of(sweep.time_ns) in stamps, "the end of the sweep: its last measured point"
     np.testing.assert_array_equal(sweep.points_m, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
