@@ -54,7 +54,7 @@ from camber.formats.ubx.nav_writer import format_high_precision_position, format
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe, ubx_frame
-from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
+from camber.geodesy.gps_time import NS_PER_DAY, UNIX_OF_GPS_EPOCH_NS, week_tow_from_gps_ns
 from camber.map_server.elevation_queries import ElevationMap
 from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
@@ -77,6 +77,7 @@ from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import DecodeError, decode, encode, unpack
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
+from camber.sensors.imu_reader import ImuReader
 from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
 from camber.simulator.output.can_frames import DBC
@@ -649,8 +650,33 @@ def _packets(kind: str) -> Callable[[Random], list[list[bytes]]]:
     return made
 
 
+def _imu_packets(random: Random) -> list[list[bytes]]:
+    stamp_ns = START_NS + UNIX_OF_GPS_EPOCH_NS + 19 * 1_000_000_000  # TAI
+    return [
+        [
+            struct.pack("<3Q6f", k, stamp_ns + k, stamp_ns + k, *(random.gauss(0.0, 1.0) for _ in range(6)))
+            for k in range(6)
+        ]
+    ]
+
+
+def _read_imu_packets(data: bytes) -> None:
+    reader, payloads = ImuReader(np.eye(3), SensorClock("tai", 0, NS_PER_DAY)), _payloads(data)
+    for sample in reader.take(payloads, [START_NS] * len(payloads), ["fuzz"] * len(payloads)):
+        encode(sample)
+
+
 def _with_length(content: bytes) -> bytes:
     return len(content).to_bytes(4, "little") + content
+
+
+def _payloads(data: bytes) -> list[bytes]:
+    payloads = []
+    while len(data) >= 4:
+        length = int.from_bytes(data[:4], "little")
+        payloads.append(data[4 : 4 + length])
+        data = data[4 + length :]
+    return payloads
 
 
 @cache
@@ -666,11 +692,7 @@ def _read_packets(kind: str) -> Callable[[bytes], None]:
 
     def read(data: bytes) -> None:
         reader = LidarReader("fuzz", _lidar_decoder(kind), SensorClock(scale, 0, NS_PER_DAY), 0.001)
-        payloads = []
-        while len(data) >= 4:
-            length = int.from_bytes(data[:4], "little")
-            payloads.append(data[4 : 4 + length])
-            data = data[4 + length :]
+        payloads = _payloads(data)
         arrivals = [START_NS + k * 1_000_000 for k in range(len(payloads))]
         for sweep in reader.take(payloads, arrivals) + reader.finish():
             encode(sweep)
@@ -715,6 +737,7 @@ DECODERS: tuple[Target, ...] = (
     Target("dbc", _dbc, read=_read_dbc, refusal=FormatError),
     Target("velodyne", _packets("velodyne"), read=_read_packets("velodyne"), sealed=_with_length),
     Target("ouster", _packets("ouster"), read=_read_packets("ouster"), sealed=_with_length),
+    Target("ouster_imu", _imu_packets, read=_read_imu_packets, sealed=_with_length),
     Target(
         "ouster_metadata",
         _metadata,

@@ -9,13 +9,13 @@ import numpy as np
 
 from camber.formats.lidar_can.firings import Decoded, Firings, Int64, LidarDecoder
 from camber.schemas.lidar import Sweep
+from camber.sensors.sender_filter import SenderFilter
 from camber.sensors.sensor_clock import SensorClock
 from camber.sensors.sweep_assembly import SweepCutter
 
 ISSUES = dict.fromkeys(("size", "flag", "mode", "stamp", "azimuth", "type", "empty"), "lidar_packets")
 ISSUES |= dict.fromkeys(("model", "turn"), "lidar_model")
 """Why a packet is refused → the issue under which health names it."""
-_GONE_NS = 2_000_000_000  # chosen: a sender that was silent for so long may have another address now
 
 
 class LidarReader:
@@ -30,15 +30,15 @@ class LidarReader:
         self._decoder, self._clock = decoder, clock
         self._cutter = SweepCutter(sensor, decoder.interval_ns, decoder.beam_after_ns, least_share)
         self._session: int | None = None
-        self._sender: str | None = None
-        self._used_ns = 0
+        self._senders = SenderFilter()
 
     def take(
         self, payloads: Sequence[bytes], arrivals_ns: Sequence[int], senders: Sequence[str] = ()
     ) -> list[Sweep]:
         """Packets, the GPS times at which they arrived, in that order, and from where; returns the sweeps of them."""
-        self.issues = []
-        kept = self._of_its_sender(arrivals_ns, senders or [""] * len(payloads))
+        kept = self._senders.kept(arrivals_ns, senders or [""] * len(payloads))
+        self.counts["packets.of_others"] += len(payloads) - len(kept)
+        self.issues = self._senders.issues()
         if len(kept) < len(payloads):
             payloads = [payloads[number] for number in kept]
             arrivals_ns = [arrivals_ns[number] for number in kept]
@@ -94,28 +94,9 @@ class LidarReader:
                 self.counts["packets.refused_time"] += 1
                 self.issues.append(("lidar_clock", self._clock.refusal))
             else:
-                self._used_ns = arrival_ns
+                self._senders.mark_used(arrival_ns)
                 runs[-1][1][number] = time_ns
         return runs
-
-    def _of_its_sender(self, arrivals_ns: Sequence[int], senders: Sequence[str]) -> list[int]:
-        """Which packets are read: those of the first sender; of another, once that has been of no use for long."""
-        kept: list[int] = []
-        others: set[str] = set()
-        used_ns = self._used_ns
-        for number, (arrival_ns, sender) in enumerate(zip(arrivals_ns, senders, strict=True)):
-            if self._sender is None or (sender != self._sender and abs(arrival_ns - used_ns) >= _GONE_NS):
-                self._sender, self._used_ns = sender, arrival_ns
-            if sender == self._sender:
-                kept.append(number)
-                used_ns = arrival_ns
-            else:
-                others.add(sender)
-        self.counts["packets.of_others"] += len(arrivals_ns) - len(kept)
-        for sender in sorted(others):
-            text = f"packets from {sender} too, not only of {self._sender}: set sender"
-            self.issues.append(("lidar_packets", text))
-        return kept
 
     def _filled_ns(self, decoded: Decoded) -> Int64:
         """From the first to the last measurement of each packet: only then it leaves the sensor."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from camber.formats.drive.timed_file import TimedFile
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame
@@ -18,6 +18,9 @@ from camber.sensors.settings import SensorsSettings
 from camber.sensors.sources import can_source, lidar_source
 from camber.transport.packet_ports import CanPort, UdpPort
 
+_OF_LIDAR = ("sweep", "imu")
+"""Channels of the LiDAR; on the others each quantity is watched by itself."""
+
 
 class SensorsService(Service[SensorsSettings]):
     """What arrives is published as soon as it is whole; errors are counted and reported as issues."""
@@ -28,15 +31,18 @@ class SensorsService(Service[SensorsSettings]):
     def __init__(self, settings: SensorsSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         self._packets = self._open_lidar()
+        self._imu_packets = self._open_imu()
         self._frames = self._open_can()
         self._played = [each for each in (self._packets, self._frames) if isinstance(each, Played)]
         self._lidar = None if self._packets is None else settings.lidar.reader()
+        self._imu = None if self._packets is None else settings.lidar.imu_reader()
         self._can = None if self._frames is None else settings.can.reader()
         self._sweeps_ended = False
         self._reported_silent: frozenset[str] = frozenset()
         self._bus_name = settings.can.bus  # of frames; unset: that of the first one
         self._start_playing(bus.now_ns())
         expected = [] if self._lidar is None else ["sweep"]
+        expected += [] if self._imu is None else ["imu"]
         expected += [] if self._can is None else self._can.quantities
         # By a clock that is never set: a silent input stays so when this machine's clock is set back.
         self._given_s = dict.fromkeys(expected, time.monotonic())
@@ -48,6 +54,14 @@ class SensorsService(Service[SensorsSettings]):
         if where[0] == "udp":
             return Live("lidar", UdpPort(where[1], where[2]))
         return Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name)))
+
+    def _open_imu(self) -> Live[Datagram] | None:
+        """The port of the IMU packets; in a recording they are between those of the lidar."""
+        source, number = self.settings.lidar.source, self.settings.lidar.imu_port
+        if source is None or number is None:
+            return None
+        where = lidar_source(source)
+        return Live("lidar", UdpPort(where[1], number)) if where[0] == "udp" else None
 
     def _open_can(self) -> Live[CanFrame] | Played[CanFrame] | None:
         if self.settings.can.source is None:
@@ -71,6 +85,8 @@ class SensorsService(Service[SensorsSettings]):
         if self._lidar is not None and self._packets in self._played:
             for sweep in self._lidar.finish():
                 self._give("sweep", sweep, self._packets.shift_ns)
+            if self._imu is not None:
+                self._imu.go_on()
         self._start_playing(now_ns)
         text = f"the recording goes on {steps_ns[0] / 1e9:+.3f} s from where it was"
         self.bus.issue("recording_stepped", text)
@@ -95,13 +111,13 @@ class SensorsService(Service[SensorsSettings]):
     def _report_silent(self) -> None:
         silent = self._silent()
         for what in sorted(silent - self._reported_silent):
-            name = "lidar" if what == "sweep" else "can"
+            name = "lidar" if what in _OF_LIDAR else "can"
             self.bus.issue("sensor_silent", f"{name}: no {what} for {self.settings.silence_s:g} s")
         self._reported_silent = silent
 
     def close(self) -> None:
         """Close ports and files."""
-        for one in (self._packets, self._frames):
+        for one in (self._packets, self._imu_packets, self._frames):
             if one is not None:
                 one.close()
 
@@ -110,13 +126,15 @@ class SensorsService(Service[SensorsSettings]):
             return
         settings = self.settings.lidar
         received = self._packets.take(now_ns)
+        self._work_imu(received, now_ns)
         packets = [
             one
             for one in received
-            if (settings.sender is None or one.source == settings.sender)
+            if self._is_of_sender(one)
             and (self._packets not in self._played or one.port == settings.udp_port())
         ]
-        self._lidar.counts["packets.of_others"] += len(received) - len(packets)
+        of_imu = sum(one.port == settings.imu_port for one in received)
+        self._lidar.counts["packets.of_others"] += len(received) - len(packets) - of_imu
         sweeps = self._lidar.take(
             [one.payload for one in packets],
             [gps_ns(one.time_ns) for one in packets],
@@ -129,6 +147,30 @@ class SensorsService(Service[SensorsSettings]):
         for sweep in sweeps:
             self._give("sweep", sweep, self._packets.shift_ns)
         self._report("lidar", issues, {**self._packets.counts, **self._lidar.counts})
+
+    def _work_imu(self, received: Sequence[Datagram], now_ns: int) -> None:
+        """Read IMU packets: from their port, or among those of a recording."""
+        if self._imu is None or self._packets is None:
+            return
+        port = self._imu_packets
+        packets = [
+            one
+            for one in (received if port is None else port.take(now_ns))
+            if one.port == self.settings.lidar.imu_port and self._is_of_sender(one)
+        ]
+        samples = self._imu.take(
+            [one.payload for one in packets],
+            [gps_ns(one.time_ns) for one in packets],
+            [one.source for one in packets],
+        )
+        for sample in samples:
+            self._give("imu", sample, self._packets.shift_ns)
+        issues = [] if port is None else [(code, f"IMU: {text}") for code, text in port.issues]
+        counts = {} if port is None else port.counts
+        self._report("imu", [*issues, *self._imu.issues], {**counts, **self._imu.counts})
+
+    def _is_of_sender(self, packet: Datagram) -> bool:
+        return self.settings.lidar.sender in (None, packet.source)
 
     def _work_can(self, now_ns: int) -> None:
         if self._frames is None or self._can is None:
@@ -154,7 +196,7 @@ class SensorsService(Service[SensorsSettings]):
     def _give(self, channel: str, message: Message, shift_ns: int) -> None:
         if shift_ns:
             message = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
-        names = ["sweep"] if channel == "sweep" else quantities_in(message)
+        names = [channel] if channel in _OF_LIDAR else quantities_in(message)
         self._given_s.update(dict.fromkeys(names, time.monotonic()))
         self.bus.publish(channel, message)
 

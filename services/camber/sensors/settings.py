@@ -10,11 +10,17 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from camber.formats.lidar_can.firings import LidarDecoder
 from camber.formats.lidar_can.ouster import OusterDecoder
-from camber.formats.lidar_can.ouster_metadata import FREE_RUNNING, read_ouster_metadata
+from camber.formats.lidar_can.ouster_metadata import (
+    FREE_RUNNING,
+    LEGACY_IMU,
+    OusterMetadata,
+    read_ouster_metadata,
+)
 from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 from camber.sensors.can_motion import CanSettings
+from camber.sensors.imu_reader import ImuReader
 from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
 from camber.sensors.sources import checked_by, lidar_source, text_of
@@ -51,6 +57,9 @@ class LidarSettings(BaseModel):
     port: Annotated[int, Field(ge=1, le=65_535)] | None = Field(
         None, description="UDP port in a recording; unset: 2368, of an Ouster 7502"
     )
+    imu_port: Annotated[int, Field(ge=1, le=65_535)] | None = Field(
+        None, description="UDP port of an Ouster's IMU packets, 7503 as a rule; unset: they are not read"
+    )
     seam_deg: float = Field(
         180.0,
         ge=0.0,
@@ -70,15 +79,41 @@ class LidarSettings(BaseModel):
     def _is_whole(self) -> Self:
         if self.source is not None:
             self.reader()
+            self.imu_reader()
         return self
 
     def reader(self) -> LidarReader:
         """The sensor that is described here. Raises ValueError where something is missing or does not fit."""
+        clock = self._clock()
+        return LidarReader(self.name, self._decoder(), clock, self.least_share)
+
+    def imu_reader(self) -> ImuReader | None:
+        """Its inertial unit, where that is read. Raises ValueError where it has none, or another format."""
+        if self.imu_port is None:
+            return None
+        if self.model != "ouster" or self.metadata is None:
+            raise ValueError("imu_port: an Ouster has IMU packets, expected none")
+        if self.imu_port == self._lidar_port():
+            raise ValueError(
+                f"imu_port: {self.imu_port}, expected another port than that of the lidar packets"
+            )
+        metadata = self._ouster_metadata(self.metadata)
+        if metadata.imu_profile != LEGACY_IMU:
+            text = (
+                f"imu_port: {self.metadata} has IMU packets of {metadata.imu_profile}, expected {LEGACY_IMU}"
+            )
+            raise ValueError(text)
+        return ImuReader(metadata.imu_to_sensor[:3, :3], self._clock())
+
+    def _lidar_port(self) -> int:
+        where = None if self.source is None else lidar_source(self.source)
+        return where[2] if where is not None and where[0] == "udp" else self.udp_port()
+
+    def _clock(self) -> SensorClock:
         if self.stamps is None:
             raise ValueError("stamps: missing; what the sensor's clock counts cannot be guessed")
         offset_ns, limit_ns = round(self.clock_offset_s * 1e9), round(self.most_clock_error_s * 1e9)
-        clock = SensorClock(self.stamps, offset_ns, limit_ns)
-        return LidarReader(self.name, self._decoder(), clock, self.least_share)
+        return SensorClock(self.stamps, offset_ns, limit_ns)
 
     def udp_port(self) -> int:
         """Of a recording."""
@@ -99,12 +134,16 @@ class LidarSettings(BaseModel):
             raise ValueError("metadata: missing; an Ouster cannot be read without")
         if self.stamps == "utc_hour":
             raise ValueError("stamps: utc_hour, expected utc, tai, gps or arrival: an Ouster counts no hours")
-        metadata = read_ouster_metadata(text_of(self.metadata, "utf-8"), self.metadata.name)
+        metadata = self._ouster_metadata(self.metadata)
         if metadata.timestamp_mode == FREE_RUNNING and self.stamps != "arrival":
             raise ValueError(
                 f"stamps: {self.stamps}, expected arrival: {self.metadata} says that the clock is free-running"
             )
         return OusterDecoder(metadata)
+
+    @staticmethod
+    def _ouster_metadata(path: Path) -> OusterMetadata:
+        return read_ouster_metadata(text_of(path, "utf-8"), path.name)
 
 
 class SensorsSettings(ServiceSettings):

@@ -1,5 +1,7 @@
 """The process of the sensors as a whole: who is silent is named, and a fault in one input is none in the other."""
 
+import math
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,12 +16,14 @@ import camber.sensors.service
 from camber.formats.lidar_can.candump import CanFrame, candump_text
 from camber.formats.lidar_can.dbc import read_dbc
 from camber.formats.lidar_can.pcap import Datagram, pcap_frames, pcap_header
-from camber.geodesy.gps_time import unix_ns_from_gps_ns
+from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, unix_ns_from_gps_ns
 from camber.runtime.bus import Bus
 from camber.schemas.base import Message
+from camber.schemas.motion import Imu
 from camber.sensors.service import SensorsService
 from camber.sensors.settings import SensorsSettings
 from camber.simulator.output.can_frames import DBC
+from camber.simulator.output.lidar_packets import ouster_metadata
 from support.fake_bus import FakeBus
 
 S = 1_000_000_000
@@ -158,6 +162,50 @@ def test_playing_goes_on_where_the_recordings_clock_was_set(
     assert len(motion) == 60
     assert motion == pytest.approx([START_NS + k * S // 10 for k in range(60)], abs=0.3 * S)
     assert texts(time, "recording_stepped") == [f"the recording goes on {step_s:+.3f} s from where it was"]
+
+
+def imu_packet(at_s: float) -> bytes:
+    stamp_ns = START_NS + UNIX_OF_GPS_EPOCH_NS + round((19 + at_s) * S)
+    return struct.pack("<3Q6f", 0, stamp_ns, stamp_ns, 0.0, 0.0, 1.0, 0.0, 0.0, 90.0)
+
+
+def ouster(folder: Path, source: str) -> Any:
+    (folder / "os.json").write_text(ouster_metadata())
+    metadata = {"model": "ouster", "metadata": folder / "os.json", "stamps": "tai"}
+    return cast(Any, {"source": source, "imu_port": 7503, **metadata})
+
+
+def test_inertial_samples_of_a_recording_are_at_their_port_among_those_of_the_lidar(
+    time: Time, tmp_path: Path
+) -> None:
+    datagrams = [
+        Datagram(time_ns=UNIX_NS + k * S // 100, source="10.0.0.2", port=port, payload=imu_packet(k / 100))
+        for k in range(200)
+        for port in (7503, 7504)
+    ]
+    path = tmp_path / "lidar.pcap"
+    path.write_bytes(pcap_header() + b"".join(pcap_frames(each, "10.0.0.1", 1) for each in datagrams))
+    settings = SensorsSettings(lidar=ouster(tmp_path, f"pcap:{path}"))
+    time.services.append(one := SensorsService(settings, cast(Bus, time.bus)))
+    time.go(one, 1.5)
+    assert {name for name, _ in time.bus.given} == {"imu"}
+    assert [message.time_ns for _, message in time.bus.given] == [START_NS + k * S // 100 for k in range(151)]
+    assert time.bus.counters["imu.packets.read"] == 151
+    assert time.bus.counters["lidar.packets.of_others"] == 151
+    time.go(one, 3.0)
+    assert texts(time, "sensor_silent") == ["lidar: no sweep for 2 s", "lidar: no imu for 2 s"]
+
+
+def test_inertial_samples_come_to_another_port(time: Time, tmp_path: Path) -> None:
+    settings = SensorsSettings(lidar=ouster(tmp_path, "udp:127.0.0.1:1"))
+    time.services.append(one := SensorsService(settings, cast(Bus, time.bus)))
+    packets = [Datagram(time_ns=UNIX_NS, source="10.0.0.2", port=7503, payload=imu_packet(0.0))]
+    one._imu_packets = Mock(take=Mock(return_value=packets), issues=[("lidar_port", "in use")], counts={})
+    time.go(one, 0.1)
+    (sample,) = (message for _, message in time.bus.given)
+    assert isinstance(sample, Imu)
+    assert sample.angular_rate_rad_s[2] == pytest.approx(math.pi / 2)
+    assert texts(time, "lidar_port")[-1] == "IMU: in use"
 
 
 def test_where_one_recording_alone_has_a_gap_the_other_stays_with_it(time: Time, tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ def read(folder: Path, text: str) -> SensorsSettings:
     (folder / "m.json").write_text(ouster_metadata())
     free_running = ouster_metadata().replace("TIME_FROM_PTP_1588", "TIME_FROM_INTERNAL_OSC")
     (folder / "free.json").write_text(free_running)
+    other_imu = '"udp_profile_imu": "ACCEL32_GYRO32_NMEA", "udp_profile_lidar"'
+    (folder / "imu.json").write_text(ouster_metadata().replace('"udp_profile_lidar"', other_imu))
     path = folder / "sensors.toml"
     path.write_text(text.replace("DIR", str(folder)))
     return load(SensorsSettings, ["--config", str(path)], prog="camber sensors")[0]
@@ -32,6 +34,8 @@ SPEED = 'wheel_speed = { signal = "Wheels.Speed", unit = "km/h" }\n'
         "",
         LIDAR + 'model = "VLP-16"\nstamps = "utc_hour"\n',
         OUSTER + 'stamps = "tai"\nmetadata = "DIR/m.json"\n',
+        OUSTER + 'stamps = "tai"\nmetadata = "DIR/m.json"\nimu_port = 7503\n',
+        OUSTER + 'stamps = "tai"\nmetadata = "DIR/imu.json"\n',
         OUSTER + 'stamps = "arrival"\nmetadata = "DIR/free.json"\n',
         CAN + 'dbc = "DIR/can.dbc"\n' + SPEED,
         '[lidar]\nsource = "udp:239.1.1.1:7502"\nmodel = "HDL-32E"\nstamps = "arrival"\n',
@@ -52,6 +56,13 @@ def test_what_is_whole_is_taken(tmp_path: Path, text: str) -> None:
         (OUSTER + 'stamps = "tai"\nmetadata = "DIR/x"\n', "lidar: DIR/x: No such file"),
         (OUSTER + 'stamps = "tai"\nmetadata = "DIR/free.json"\n', "lidar: stamps: tai, expected arrival: DIR/free"),
         (OUSTER + 'stamps = "utc_hour"\nmetadata = "DIR/m.json"\n', "lidar: stamps: utc_hour, expected utc, tai, gps"),
+        (LIDAR + 'model = "VLP-16"\nstamps = "utc_hour"\nimu_port = 7503\n',
+         "lidar: imu_port: an Ouster has IMU packets, expected none"),
+        (OUSTER + 'stamps = "tai"\nmetadata = "DIR/m.json"\nimu_port = 2368\n',
+         "lidar: imu_port: 2368, expected another port than that of the lidar packets"),
+        (OUSTER + 'stamps = "tai"\nmetadata = "DIR/imu.json"\nimu_port = 7503\n',
+         "lidar: imu_port: DIR/imu.json has IMU packets of ACCEL32_GYRO32_NMEA, expected LEGACY"),
+        (OUSTER + 'imu_port = 0\n', "lidar.imu_port: Input should be greater than or equal to 1"),
         ('[lidar]\nsource = "tcp:1"\n', "lidar.source: 'tcp:1': expected udp:PORT, udp:ADDRESS:PORT or pcap:FILE"),
         ('[lidar]\nsource = "pcap:DIR/no.pcap"\n', "lidar.source: DIR/no.pcap: no such file"),
         (CAN + SPEED, "can: dbc: missing"),

@@ -17,6 +17,7 @@ from camber.formats.lidar_can.firings import Float64
 
 COLUMNS_OF_PACKET = 16  # "Lidar data packet format"; other counts are refused
 PROFILES = ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL", "RNG15_RFL8_NIR8")
+LEGACY_IMU = "LEGACY"
 FREE_RUNNING = "TIME_FROM_INTERNAL_OSC"
 _MOST_BYTES = 1 << 20  # chosen: hundred times a sensor's metadata
 _LAYOUT = ("lidar_data_format", "data_format")
@@ -24,7 +25,7 @@ _LAYOUT = ("lidar_data_format", "data_format")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OusterMetadata:
-    """Beams (b,) from top to bottom; `beam_to_lidar` and `lidar_to_sensor` (4, 4) with metres.
+    """Beams (b,) from top to bottom; `beam_to_lidar`, `lidar_to_sensor` and `imu_to_sensor` (4, 4) with metres.
 
     `serial` and `timestamp_mode` are None where the file does not contain them.
     """
@@ -38,6 +39,8 @@ class OusterMetadata:
     azimuth_rad: Float64
     beam_to_lidar: Float64
     lidar_to_sensor: Float64
+    imu_to_sensor: Float64
+    imu_profile: str
     timestamp_mode: str | None
 
 
@@ -76,6 +79,8 @@ def read_ouster_metadata(text: str, source_name: str) -> OusterMetadata:
         azimuth_rad=np.radians(azimuth),
         beam_to_lidar=fields.beam_to_lidar(),
         lidar_to_sensor=fields.matrix("lidar_to_sensor_transform", "lidar_intrinsics"),
+        imu_to_sensor=fields.imu_to_sensor(),
+        imu_profile=str(fields.get("udp_profile_imu", *_LAYOUT, "config_params") or LEGACY_IMU)[:40],
         timestamp_mode=stamps if isinstance(stamps, str) else None,
     )
 
@@ -129,6 +134,11 @@ class _Fields:
         matrix: Float64 = numbers.reshape(4, 4).copy()
         matrix[:3, 3] /= 1000.0
         return matrix
+
+    def imu_to_sensor(self) -> Float64:
+        """Of a file without it: that the axes are the sensor's, as they are in all sensors so far."""
+        name = ("imu_to_sensor_transform", "imu_intrinsics")
+        return np.eye(4) if self.get(*name) is None else self.matrix(*name)
 
     def beam_to_lidar(self) -> Float64:
         if self.get("beam_to_lidar_transform", "beam_intrinsics") is not None:
