@@ -20,12 +20,13 @@ import pytest
 from mcap.reader import make_reader
 
 from camber.formats.drive.mcap_recorder import Recorder
+from camber.formats.drive.motion_csv import write_samples
 from camber.formats.drive.recording import Recorded, RecordingError, read_recording
 from camber.runtime.subscription import Subscription
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from support.messages import build
 from support.running import CLOCK, bus_of, camber, camber_started, loopback_router, wait_until
 
@@ -131,6 +132,40 @@ def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
     schemas = {schema.name: schema for schema in summary.schemas.values()}
     assert "wheel_speed_m_s" in json.loads(schemas["camber.Motion.v1"].data)["properties"]
     assert {schema.encoding for schema in schemas.values()} == {"jsonschema", "protobuf"}
+
+
+def test_inertial_samples_are_fed_recorded_and_played(endpoint: str, tmp_path: Path) -> None:
+    samples = [
+        Imu(
+            time_ns=1_400_000_000 * 10**9 + k * 5_000_000,
+            angular_rate_rad_s=(0.5, -0.25, k / 500),
+            specific_force_m_s2=(k / 500, 0.125, 9.75),
+        )
+        for k in range(400)
+    ]
+    write_samples(tmp_path / "imu.csv", Imu, samples)
+    (tmp_path / "drive.toml").write_text('name = "turns"\n[imu]\nfile = "imu.csv"\nclass = "phone"\n')
+
+    def recorded_of(folder: str, *publisher: object) -> list[Imu]:
+        with ExitStack() as stack:
+            process = record(stack, endpoint, tmp_path / folder)
+            with driving(endpoint):
+                wait_until(lambda: list((tmp_path / folder).glob("*.mcap")), timeout_s=30.0, why="it records")
+            done = camber(*publisher, "--connect", endpoint, "--vehicle", "car", timeout_s=60.0)
+            assert done.returncode == 0, done.stderr
+            time.sleep(1.0)
+            process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=30.0)
+        return [item.message for item in contents(tmp_path / folder)[0] if item.channel == "imu"]
+
+    fed = recorded_of("fed", "feed", tmp_path / "drive.toml")
+    played = recorded_of("played", "play", *(tmp_path / "fed").glob("*.mcap"), "--channels", "imu")
+    for again in (fed, played):
+        steps_ns = np.diff([one.time_ns for one in again])
+        assert (steps_ns == 5_000_000).all()
+        assert [(one.angular_rate_rad_s, one.specific_force_m_s2) for one in again] == [
+            (one.angular_rate_rad_s, one.specific_force_m_s2) for one in samples
+        ]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
