@@ -31,7 +31,7 @@ _MG: Final = 1e-3 * GRAVITY_M_S2
 _SQRT_H: Final = 60.0  # √(3600 s)
 _BRACKET_SIGMA_RAD: Final = math.radians(0.5)  # chosen: half of what a bracket without alignment has
 _ALLAN_PEAK: Final = (
-    0.618  # of the σ of a first-order Gauss–Markov process: 0.437 √2, IEEE Std 952, C.1.1.3.4
+    0.618  # of the σ of a first-order Gauss–Markov process: 0.437 √2, IEEE Std 952, annex C, Markov noise
 )
 _INSTABILITY_S: Final = (
     100.0  # chosen: the peak, at 189 s, is where data sheets have the bottom of the Allan curve
@@ -83,9 +83,9 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
         gyro=InertialErrors(
             noise_density=math.radians(0.007),
             instability=10.0 * _DEG_H,  # chosen: not in the data sheet; of such sensors 5 to 20 °/h
-            bias_sigma=math.radians(0.5),  # chosen: ± 1 °/s of ST LSM6DSO as two sigma
-            scale_sigma=0.01,  # LSM6DSO: ± 1 %
-            misalignment_sigma_rad=0.01,  # BMI160, cross-axis sensitivity: 1 to 2 %
+            bias_sigma=math.radians(0.5),  # chosen: ± 1 °/s as two sigma
+            scale_sigma=0.01,  # chosen, as the next: of such sensors 1 to 3 %
+            misalignment_sigma_rad=0.01,  # cross-axis sensitivity: 1 to 2 %
             step=math.radians(4000.0 / 65536.0),
             limit=math.radians(2000.0),
         ),
@@ -93,20 +93,20 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
             noise_density=0.18 * _MG,
             instability=0.1 * _MG,  # chosen: not in the data sheet; of such sensors 0.05 to 0.2 mg
             bias_sigma=20.0 * _MG,  # ± 40 mg as two sigma
-            scale_sigma=0.005,  # BMI160: ± 0.5 %
-            misalignment_sigma_rad=0.005,  # BMI160, cross-axis sensitivity: 1 % at most
+            scale_sigma=0.005,  # chosen, as the next: of such sensors 0.5 to 1 %
+            misalignment_sigma_rad=0.005,  # cross-axis sensitivity
             step=16.0 / 65536.0 * GRAVITY_M_S2,
             limit=8.0 * GRAVITY_M_S2,
         ),
     ),
-    # Analog Devices ADIS16465-1: 0.15 °/√h, 2 °/h in run; 0.012 m/s/√h, 3.6 µg in run; 16 bits: 160 LSB for 1 °/s,
-    # 4 LSB for 1 mg; ± 125 °/s, ± 8 g.
+    # Analog Devices ADIS16465-1, ADIS16475: 0.15 °/√h, 2 to 3 °/h in run; 0.012 m/s/√h, 3.6 µg in run; 16 bits:
+    # 160 LSB for 1 °/s, 4 LSB for 1 mg; ± 125 °/s, ± 8 g.
     "mems": InertialUnit(
         gyro=InertialErrors(
             noise_density=math.radians(0.15) / _SQRT_H,
             instability=2.5 * _DEG_H,
             bias_sigma=math.radians(0.2),  # not calibrated after switching on
-            scale_sigma=0.003,  # chosen: sensitivity over temperature, ± 0.3 %
+            scale_sigma=0.003,  # chosen: what factory calibration leaves over temperature
             misalignment_sigma_rad=math.radians(0.05),  # axis to axis
             step=math.radians(1.0 / 160.0),
             limit=math.radians(125.0),
@@ -114,8 +114,8 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
         accelerometer=InertialErrors(
             noise_density=0.012 / _SQRT_H,
             instability=3.6e-3 * _MG,
-            bias_sigma=1.4 * _MG,  # repeatability
-            scale_sigma=0.001,  # chosen: sensitivity over temperature, ± 0.1 %
+            bias_sigma=1.4 * _MG,  # chosen: repeatability over a year
+            scale_sigma=0.001,  # chosen: what factory calibration leaves over temperature
             misalignment_sigma_rad=math.radians(0.05),
             step=0.25 * _MG,
             limit=8.0 * GRAVITY_M_S2,

@@ -142,7 +142,7 @@ def test_it_samples_at_its_rate_by_its_clock_and_messages_hold_the_samples() -> 
 
 
 def allan_deviation(value: Floats, rate_hz: float, tau_s: float) -> float:
-    """Of three axes (n, 3), by means of neighbouring clusters (IEEE Std 952, C.1)."""
+    """Of three axes (n, 3), by means of neighbouring clusters (IEEE Std 952, annex C)."""
     size = round(tau_s * rate_hz)
     count = len(value) // size
     means = value[: count * size].reshape(count, size, 3).mean(axis=1)
