@@ -69,9 +69,14 @@ class FixTrack:
             result = self._offsets.estimate()
             self.offset = None if result is None else _message(result)
 
-    def _restart(self, plane: LocalPlane) -> None:
-        self._plane, self.offset = plane, None
+    def forget(self) -> None:
+        """Begin anew: the track is another one."""
+        self.offset = None
         self._offsets.forget()
+
+    def _restart(self, plane: LocalPlane) -> None:
+        self._plane = plane
+        self.forget()
 
 
 def _message(result: FixTrackOffset) -> FixesOffset:

@@ -13,6 +13,7 @@ import numpy as np
 from camber.geodesy.se3 import lever_arm_enu
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.independent_position import IndependentPoseFilter
+from camber.localizer.filter.odometry import InertialReading
 from camber.localizer.filter.planar_pose import covariance_at_offset
 from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_model import PoseModel
@@ -73,10 +74,16 @@ class IndependentLocalization:
         self._links_at_m = -_LINKS_EVERY_M  # path driven at the last link matching
         self._links = LinkCache(links_radius_m, map_queries, _UnreportedQueries())
 
-    def predict(self, motion: Motion) -> None:
+    @property
+    def knows_motion(self) -> bool:
+        """Whether its track may deskew sweeps: it is followed, and its speed is not a vague integral."""
+        pose_filter = self.position.filter
+        return self.active and (not pose_filter.speed_is_integrated or pose_filter.measures_distance)
+
+    def predict(self, motion: Motion, inertial: InertialReading | None = None) -> None:
         """Propagate the position."""
         if self.active:
-            self.position.predict(motion)
+            self.position.predict(motion, inertial)
 
     def couple_links(self, now_ns: int) -> None:
         """Couple the position with the link that its own history has led to."""

@@ -23,6 +23,7 @@ from camber.localizer.fix_track import FixTrack
 from camber.localizer.given_pose import GivenPose
 from camber.localizer.horizontal_basis import horizontal_basis
 from camber.localizer.independent_localization import IndependentLocalization, RepeatedLinksQuery
+from camber.localizer.inertial.imu_motion import ImuMotion, ImuOptions, InertialSample, with_imu
 from camber.localizer.links.link_cache import LinkCache
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
@@ -35,7 +36,7 @@ from camber.localizer.road.road_below_antenna import RoadBelowAntenna, attitude_
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import CONFIRMED_VERDICTS, Verdict
 from camber.schemas.lidar import Sweep
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import IndependentPosition, Pose, Road, ScanMatch
 
 _UPPER = np.triu_indices(3)
@@ -45,7 +46,8 @@ _UPPER = np.triu_indices(3)
 class LocalizationOptions:
     """Parameters of the localizer. `antenna_z_m`: above the road at rest.
 
-    `matching` None: sweeps are not used; `relief` None: neither are heights of fixes.
+    `imu` None: there is no inertial unit; `matching` None: sweeps are not used; `relief` None: neither are heights of
+    fixes.
     """
 
     model: PoseModel = field(default_factory=PoseModel)
@@ -53,6 +55,7 @@ class LocalizationOptions:
     links_radius_m: float = 600.0
     road_sigma_limit_m: float = 15.0
     given: GivenPose | None = None
+    imu: ImuOptions | None = None
     matching: ScanMatchOptions | None = None
     relief: HeightErrorModel | None = field(default_factory=HeightErrorModel)
 
@@ -71,6 +74,9 @@ class Localization:
         self, options: LocalizationOptions, map_queries: MapQueries, diagnostics: Diagnostics
     ) -> None:
         model, map_queries = options.model, RepeatedLinksQuery(map_queries)
+        self._inertial = None if options.imu is None else ImuMotion(options.imu)
+        if options.imu is not None:
+            model = with_imu(model, options.imu)
         self._diagnostics = diagnostics
         self._lever_m = (model.antenna_x_m, model.antenna_y_m, options.antenna_z_m)
         self._filter = PoseFilter(model)
@@ -112,12 +118,33 @@ class Localization:
         return self._filter.mode != "none"
 
     def on_motion(self, motion: Motion) -> bool:
-        """Propagate the pose; return whether this sample started the given pose."""
-        outcome = self._filter.predict(motion)
+        """Propagate the pose; return whether this sample started the given pose.
+
+        With an inertial unit the pose follows the unit's samples, and this is what its wheels add to them.
+        """
+        if self._inertial is None:
+            return self._predict(InertialSample(motion, None))
+        alone = self._inertial.on_vehicle(motion)
+        return alone is not None and self._predict(InertialSample(alone, None))
+
+    def on_imu(self, imu: Imu) -> bool:
+        """Propagate the pose by an inertial unit; return whether this sample started the given pose."""
+        if self._inertial is None:
+            return False
+        outcome = self._inertial.outcome(imu)
+        if outcome != "applied":
+            self._diagnostics.issue(f"imu_{outcome}", f"sample at {imu.time_ns} ns")
+            return False
+        sample = self._inertial.on_imu(imu, self._filter.estimate)
+        return sample is not None and self._predict(sample)
+
+    def _predict(self, sample: InertialSample) -> bool:
+        motion, reading = sample
+        outcome = self._filter.predict(motion, reading)
         if outcome in ("repeated", "backwards"):
             self._diagnostics.issue(f"motion_{outcome}", f"sample at {motion.time_ns} ns")
             return False
-        self.independent.predict(motion)
+        self.independent.predict(motion, reading)
         if self.matcher is not None:
             self.matcher.set_attitude(motion.roll_rad, motion.pitch_rad)
         given, self._given = self._given, None
@@ -154,7 +181,12 @@ class Localization:
             self._relief.forget_offset()
             self._fix_track.on_step(step, fix.time_ns)
         self._relief.on_fix(fix, self._filter)
-        self._fix_track.on_fix(fix, track, road)
+        if (
+            self._filter.speed_is_integrated
+        ):  # a track that the wheels have not measured has no shape to compare
+            self._fix_track.forget()
+        else:
+            self._fix_track.on_fix(fix, track, road)
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Anchor the pose to a confirmed position."""

@@ -92,7 +92,7 @@ class ReliefLocalization:
             self._update(fix, height_m, sigma_m)
         if self._road is not None and self._road.status == "known":
             self._independent.active = True
-            if position.filter.wheel_slip_suspected:
+            if position.filter.wheel_slip_suspected or position.filter.speed_is_integrated:
                 self._start.forget()
             elif self._road.datum in (None, fix.datum):
                 self._try_start(fix.time_ns, height_m, sigma_m, pose)

@@ -53,13 +53,21 @@ class LocalizerService(Service[LocalizerSettings]):
         localization = self._localization
         return {
             "motion": self._on_motion,
+            "imu": self._on_imu,
             "fix": localization.on_fix,
             "verdict": localization.on_verdict,
             "sweep": localization.on_sweep,
         }
 
     def _on_motion(self, motion: Any) -> None:
-        if self._localization.on_motion(motion):
+        self._note_start(started=self._localization.on_motion(motion))
+
+    def _on_imu(self, imu: Any) -> None:
+        self._note_start(started=self._localization.on_imu(imu))
+
+    def _note_start(self, *, started: bool) -> None:
+        """Write that the given pose is used."""
+        if started:
             problem = self._given_pose_file.write()
             if problem is not None:
                 self.bus.issue("given_pose_not_kept", problem)

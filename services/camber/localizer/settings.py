@@ -11,6 +11,8 @@ from pydantic import Field, field_validator
 from camber.localizer.filter.odometry import MotionModel, RateSensor
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.given_pose import GivenPose
+from camber.localizer.inertial.imu_motion import ImuOptions
+from camber.localizer.inertial.imu_noise import IMU_NOISE
 from camber.localizer.localization import LocalizationOptions
 from camber.localizer.matching.ground_alignment import RoadBy
 from camber.localizer.matching.layered_matching import LayerChoice, MatchOptions
@@ -19,6 +21,7 @@ from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.relief.height_errors import HeightErrorModel
 from camber.runtime.settings import ServiceSettings
+from camber.schemas.motion import ImuClass
 
 # The defaults below are those of the parameter sets: each number stands once.
 _LOCALIZATION, _SCAN_MATCHING = LocalizationOptions(), ScanMatchOptions()
@@ -45,6 +48,19 @@ class LocalizerSettings(ServiceSettings):
     lidar_roll_deg: _Turn = Field(0.0, description="LiDAR against the vehicle, left side up")
     lidar_pitch_deg: float = Field(0.0, ge=-90.0, le=90.0, description="LiDAR against the vehicle, nose down")
     lidar_yaw_deg: _Turn = Field(0.0, description="LiDAR against the vehicle, counter-clockwise")
+    imu_class: ImuClass | None = Field(
+        None,
+        description="noise of the inertial unit, whose samples then drive the pose: of a phone (BMI160), an industrial"
+        " MEMS (ADIS16465) or a tactical one (STIM300); unset: there is none",
+    )
+    imu_x_m: _Offset = Field(0.0, description="inertial unit forward of the rear axle's middle")
+    imu_y_m: _Offset = Field(0.0, description="inertial unit left of it")
+    imu_z_m: _Offset = Field(0.0, description="inertial unit above the road at rest")
+    imu_roll_deg: _Turn = Field(0.0, description="inertial unit against the vehicle, left side up")
+    imu_pitch_deg: float = Field(
+        0.0, ge=-90.0, le=90.0, description="inertial unit against the vehicle, nose down"
+    )
+    imu_yaw_deg: _Turn = Field(0.0, description="inertial unit against the vehicle, counter-clockwise")
     wheelbase_m: float = Field(
         _MODEL.motion.wheelbase_m, gt=0.1, le=20.0, description="for the bicycle model of the steering"
     )
@@ -110,9 +126,23 @@ class LocalizerSettings(ServiceSettings):
             links_radius_m=self.links_radius_m,
             road_sigma_limit_m=self.road_sigma_limit_m,
             given=given,
+            imu=self._imu(),
             matching=self._matching() if self.match_sweeps else None,
             relief=HeightErrorModel() if self.use_relief else None,
         )
+
+    def _imu(self) -> ImuOptions | None:
+        if self.imu_class is None:
+            return None
+        mount = SensorMount(
+            x_m=self.imu_x_m,
+            y_m=self.imu_y_m,
+            z_m=self.imu_z_m,
+            roll_rad=math.radians(self.imu_roll_deg),
+            pitch_rad=math.radians(self.imu_pitch_deg),
+            yaw_rad=math.radians(self.imu_yaw_deg),
+        )
+        return ImuOptions(noise=IMU_NOISE[self.imu_class], mount=mount)
 
     def _matching(self) -> ScanMatchOptions:
         mount = SensorMount(

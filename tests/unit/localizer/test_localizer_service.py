@@ -22,7 +22,7 @@ from camber.runtime.bus import Bus, QueryFailed
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict, VerdictValue
-from camber.schemas.motion import Motion
+from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import Pose, Road, ScanMatch
 from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest, Places, RoadsAhead
 from support.fake_bus import FakeBus
@@ -571,8 +571,41 @@ def test_motion_that_goes_back_in_time_is_an_issue_and_moves_nothing() -> None:
     assert drive.codes() == {"motion_backwards": 1, "motion_repeated": 1}
 
 
-def test_inputs_are_motion_fix_verdict_and_sweep() -> None:
-    assert set(Drive().handlers) == {"motion", "fix", "verdict", "sweep"}
+def test_an_inertial_unit_drives_the_pose_and_its_old_samples_are_issues() -> None:
+    drive = Drive(initial_pose=GIVEN, imu_class="mems")
+    for n in range(1, 501):
+        time_ns = START_NS + n * NS // 100
+        drive.handlers["imu"](unit_at_rest(time_ns, turning_rad_s=0.1))
+        if n % 10 == 0:
+            drive.handlers["motion"](Motion(time_ns=time_ns, wheel_speed_m_s=SPEED, yaw_rate_rad_s=-1.0))
+            drive.service.advance(time_ns)
+    pose = drive.bus.poses[-1]
+    assert 0 <= START_NS + 5 * NS - pose.time_ns < NS // 50
+    assert pose.yaw_rate_rad_s == pytest.approx(0.1, abs=0.01)
+    assert pose.yaw_rad == pytest.approx(0.44, abs=0.05)  # levelled after half a second
+    assert pose.speed_m_s == pytest.approx(SPEED, abs=0.1)
+    drive.handlers["imu"](unit_at_rest(START_NS + 5 * NS))
+    drive.handlers["imu"](unit_at_rest(START_NS))
+    assert drive.codes() == {"imu_repeated": 1, "imu_backwards": 1}
+
+
+def test_without_imu_class_an_inertial_unit_is_left_alone() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.handlers["imu"](unit_at_rest(START_NS))
+    drive.service.advance(START_NS)
+    assert drive.bus.poses == []
+
+
+def unit_at_rest(time_ns: int, turning_rad_s: float = 0.0) -> Imu:
+    return Imu(
+        time_ns=time_ns,
+        angular_rate_rad_s=(0.0, 0.0, turning_rad_s),
+        specific_force_m_s2=(0.0, SPEED * turning_rad_s, 9.80665),
+    )
+
+
+def test_inputs_are_motion_imu_fix_verdict_and_sweep() -> None:
+    assert set(Drive().handlers) == {"motion", "imu", "fix", "verdict", "sweep"}
 
 
 def test_points_of_matches_are_published_once_a_second_and_only_while_somebody_subscribes() -> None:

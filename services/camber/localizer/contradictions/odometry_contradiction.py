@@ -61,8 +61,11 @@ class OdometryContradiction:
         return self._led[1]
 
     def advance(self, time_ns: int, step: MotionStep) -> None:
-        """Follow a step of the motion."""
-        self._paths.advance(step)
+        """Follow a step of the motion. A speed that is integrated is no evidence of a path."""
+        if step.is_integrated:
+            self._paths.forget()
+        else:
+            self._paths.advance(step)
         self._bounds.enforce(time_ns)
 
     def add_anchor(

@@ -13,10 +13,11 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, SPEED_ERROR, YAW
 from camber.localizer.filter.filter_state import COMMON_EAST, COMMON_NORTH, FilterState, inverse_2x2
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.filter.speed_error import SpeedError
 from camber.localizer.filter.track import TrackPoint
 
 AnchorOutcome: TypeAlias = Literal["accepted", "recovered", "outside_gate", "too_old", "ahead"]
@@ -41,8 +42,8 @@ class AnchorResult(NamedTuple):
 class Anchors:
     """Updates a pose whose heading is known by confirmed positions."""
 
-    def __init__(self, state: FilterState, model: PoseModel) -> None:
-        self._state, self._model = state, model
+    def __init__(self, state: FilterState, error: SpeedError, model: PoseModel) -> None:
+        self._state, self._error, self._model = state, error, model
         self._rejected_ns: deque[int] = deque(maxlen=max(1, model.recover_after_anchors))
 
     def forget(self) -> None:
@@ -69,10 +70,13 @@ class Anchors:
         frame = float(x[YAW]) - here.yaw_rad
         to_here = rotated(frame, here.east_m - then.east_m, here.north_m - then.north_m)
         lever = rotated(frame + then.yaw_rad, model.antenna_x_m, model.antenna_y_m)
-        east, north = lever[0] - to_here[0], lever[1] - to_here[1]
+        untracked = rotated(float(x[YAW]), self._error.untracked_m(time_ns), 0.0)
+        east, north = lever[0] - to_here[0] - untracked[0], lever[1] - to_here[1] - untracked[1]
         h = self._state.rows(2)
         h[0, EAST] = h[1, NORTH] = h[0, COMMON_EAST] = h[1, COMMON_NORTH] = 1.0
         h[0, YAW], h[1, YAW] = -north, east
+        late_s, ahead = self._error.duration_s(time_ns), rotated(float(x[YAW]), 1.0, 0.0)
+        h[0, SPEED_ERROR], h[1, SPEED_ERROR] = -late_s * ahead[0], -late_s * ahead[1]
         innovation = np.array(
             [
                 position_m[0] - x[EAST] - east - x[COMMON_EAST],
@@ -84,8 +88,10 @@ class Anchors:
         p = self._state.p
         nis = float(innovation @ inverse_2x2(h @ p @ h.T + noise) @ innovation)
         innovation_m = (float(innovation[0]), float(innovation[1]))
+        speed_error = float(x[SPEED_ERROR])
         if nis <= model.anchor_gate:
             self._state.update(h, innovation, noise)
+            self._error.record_update(speed_error)
             return AnchorResult("accepted", nis, innovation_m)
         self._rejected_ns.append(time_ns)
         if not overrules and (held or not self.is_persistent):
@@ -93,6 +99,7 @@ class Anchors:
         p[:2, :2] += np.outer(innovation, innovation)
         p[YAW, YAW] += _RECOVERY_YAW_VAR_RAD2
         self._state.update(h, innovation, noise)
+        self._error.record_update(speed_error)
         return AnchorResult("recovered", nis, innovation_m)
 
     @property

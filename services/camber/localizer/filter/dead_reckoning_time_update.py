@@ -25,8 +25,11 @@ SCALE: Final = 5  # true speed = (1 + scale) * wheel speed
 SIDE_SLIP: Final = 6  # drift angle = -side_slip * speed * yaw rate (rad s^2/m): compliance of the rear tyres
 TURN_GAIN: Final = 7  # true yaw rate = (1 + gain) * that of the sensor of system A
 WHEEL_LAG: Final = 8  # age of the wheel speed when it arrives (s): it is counted over an interval, and queued
-WHEEL_SLIP: Final = 9  # speed over ground less wheel speed (m/s): zero unless wheel slip is suspected
-N_MOTION: Final = 10
+# Speed over ground less the odometer's (m/s): wheel slip while it is suspected, or the error of an integrated speed.
+SPEED_ERROR: Final = 9
+ACCELERATION_ERROR: Final = 10  # true acceleration less the one that is integrated (m/s²): levelling and bias
+N_MOTION: Final = 11
+_N_POSE: Final = 10  # states on which the pose after a step depends
 _NO_YAW_RATE: Final = YawRate()
 
 
@@ -59,10 +62,10 @@ def propagate(x: Floats, p: Floats, step: MotionStep, *, turn: YawRate | None, m
     x[NORTH] += moved.north_m
     x[YAW] += turn.rate_rad_s * dt
     f = moved.jacobian
-    rows = f @ p[:N_MOTION]
+    rows = f @ p[:_N_POSE]
     p[:3, :] = rows
     p[:, :3] = rows.T
-    p[:3, :3] = rows[:, :N_MOTION] @ f.T
+    p[:3, :3] = rows[:, :_N_POSE] @ f.T
     path = abs(moved.along_m)
     turn_var = turn.turn_var_rad2 + step.unknown_rate_var_rad2
     # Where in a gap the vehicle has turned is unknown too: Δ (L − s), s uniform over L, has the variance Δ² L² / 12.
@@ -106,7 +109,7 @@ def _displacement(x: Floats, step: MotionStep, turn: YawRate) -> _StepDisplaceme
     turn_bias, turn_scale, turn_gain = turn.d_bias * dt, turn.d_scale * dt, turn.d_gain * dt
     left_bias = -slip * speed * speed * turn_bias
     left_gain = -slip * speed * speed * turn_gain
-    along_scale = step.speed_m_s * dt
+    along_scale = 0.0 if step.is_integrated else step.speed_m_s * dt
     left_scale = -slip * speed * (2.0 * along_scale * rate + speed * turn_scale)
     east_bias = -0.5 * north * turn_bias - left_bias * sin
     north_bias = 0.5 * east * turn_bias + left_bias * cos
@@ -151,9 +154,11 @@ def _process_noise(moved: _StepDisplacement, *, along_var: float, left_var: floa
 
 
 def speed_over_ground(x: Floats, step: MotionStep) -> float:
-    """Return the mean speed over ground (m/s) of a step: wheel speed corrected by the state `x` (n >= 10)."""
+    """Return the mean speed over ground (m/s) of a step: the odometer's, corrected by the state `x` (n >= 10)."""
+    if step.is_integrated:
+        return step.speed_m_s + float(x[SPEED_ERROR])
     lag = float(x[WHEEL_LAG]) * step.wheel_change_m_s / step.dt_s if step.dt_s > 0.0 else 0.0
-    return (1.0 + float(x[SCALE])) * (step.speed_m_s + lag) + float(x[WHEEL_SLIP])
+    return (1.0 + float(x[SCALE])) * (step.speed_m_s + lag) + float(x[SPEED_ERROR])
 
 
 def _add_along(p: Floats, yaw_rad: float, variance_m2: float) -> None:

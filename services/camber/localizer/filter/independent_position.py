@@ -20,6 +20,7 @@ import numpy as np
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import FilterState
+from camber.localizer.filter.odometry import InertialReading
 from camber.localizer.filter.planar_pose import largest_variance, rotated
 from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_filter import PoseFilter
@@ -80,9 +81,9 @@ class IndependentPoseFilter:
         """Return the present pose; None without evidence."""
         return None if self.evidence is None else self.filter.estimate()
 
-    def predict(self, sample: Motion) -> None:
-        """Propagate the pose to this sample."""
-        self.filter.predict(sample)
+    def predict(self, sample: Motion, inertial: InertialReading | None = None) -> None:
+        """Propagate the pose to this sample, see `PoseFilter.predict`."""
+        self.filter.predict(sample, inertial)
 
     def start(self, pose: StartPose, basis: IndependentBasis) -> bool:
         """Start from a pose that no fix had a part in; return whether it was used."""

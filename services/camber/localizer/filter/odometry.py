@@ -118,6 +118,22 @@ class MotionStep(NamedTuple):
     creep_var_m2: float = 0.0
     wheel_change_m_s: float = 0.0  # change of wheel speed over the step
     wheel_m_s: float = 0.0  # wheel speed at its end
+    is_integrated: bool = False  # the speed is integrated from an accelerometer, as the wheels gave none
+
+
+class InertialReading(NamedTuple):
+    """What an inertial unit adds to a motion sample: mean forward acceleration since the last one, without gravity,
+    and the body's roll and pitch.
+
+    `leveled_m_s2`: by how much that acceleration is less because the tilt was levelled since the last sample, which is
+    no acceleration. `is_quiet`: neither force nor rate has changed for a while.
+    """
+
+    acceleration_m_s2: float
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    leveled_m_s2: float = 0.0
+    is_quiet: bool = False
 
 
 class YawRate(NamedTuple):
@@ -145,6 +161,7 @@ class WheelOdometry:
     def __init__(self, model: MotionModel) -> None:
         self._model = model
         self._last: Motion | None = None
+        self._wheels_seen = False
         self._held_speed_m_s: float | None = None
         self._speed_missing_s = 0.0
         self._rate_missing_s = 0.0
@@ -154,13 +171,30 @@ class WheelOdometry:
         self._in_dead_zone = False  # the wheels have read exactly zero during this stop
 
     @property
+    def has_speed(self) -> bool:
+        """Whether the wheels have ever given a speed."""
+        return self._wheels_seen
+
+    @property
     def time_ns(self) -> int | None:
         """Time of the last sample used."""
         return self._last.time_ns if self._last else None
 
-    def advance(self, sample: Motion, yaw_rate_bias_rad_s: float) -> MotionStep:
-        """Return the motion since the last sample. The bias is used for standstill detection only."""
+    def advance(
+        self,
+        sample: Motion,
+        yaw_rate_bias_rad_s: float,
+        inertial: InertialReading | None = None,
+        *,
+        may_stand: bool = False,
+    ) -> MotionStep:
+        """Return the motion since the last sample. The bias is used for standstill detection only.
+
+        Where the wheels give no speed, the accelerometer of `inertial` carries the last one on; `may_stand`: by that
+        speed the vehicle may stand, so it does where the unit is quiet.
+        """
         last = self._last
+        self._wheels_seen |= sample.wheel_speed_m_s is not None
         if last is None:
             self._last, self._held_speed_m_s = sample, sample.wheel_speed_m_s
             return MotionStep("first")
@@ -168,6 +202,8 @@ class WheelOdometry:
             return MotionStep("repeated" if sample.time_ns == last.time_ns else "backwards")
         model, dt = self._model, (sample.time_ns - last.time_ns) * 1e-9
         interval = _Interval(last, sample, dt, dt > model.max_step_s)
+        if sample.wheel_speed_m_s is None and inertial is not None and not interval.is_gap:
+            return self._integrate(interval, inertial, standing=may_stand and inertial.is_quiet)
         was_standing, was_in_dead_zone = self.standing, self._in_dead_zone
         self.standing = self._detect_standstill(interval, yaw_rate_bias_rad_s)
         creeps = was_standing != self.standing and (was_in_dead_zone or self._in_dead_zone)
@@ -192,6 +228,27 @@ class WheelOdometry:
             creep_var_m2=model.creep_sigma_m**2 if creeps else 0.0,
             wheel_change_m_s=0.0 if interval.is_gap else after - before,
             wheel_m_s=after,
+        )
+
+    def _integrate(self, interval: _Interval, inertial: InertialReading, *, standing: bool) -> MotionStep:
+        """Return the motion of a step by the accelerometer; the error of its speed is a state of the filter."""
+        dt, sample = interval.dt_s, interval.sample
+        before = self._held_speed_m_s or 0.0
+        after = before if standing else before + inertial.acceleration_m_s2 * dt
+        was_standing, self.standing = self.standing, standing
+        self._in_dead_zone, self._quiet_s, self._speed_missing_s = False, 0.0, 0.0
+        self._held_speed_m_s, self._last = after, sample
+        speed = 0.5 * (before + after)
+        return MotionStep(
+            outcome="applied",
+            dt_s=dt,
+            standing=was_standing and self.standing,
+            speed_m_s=speed,
+            yaw_rate_rad_s=_mean(interval.last.yaw_rate_rad_s, sample.yaw_rate_rad_s),
+            steering_rad=_mean(interval.last.steering_angle_rad, sample.steering_angle_rad),
+            unknown_rate_var_rad2=self._unknown_rate_variance(interval, speed),
+            wheel_m_s=after,
+            is_integrated=True,
         )
 
     def _detect_standstill(self, interval: _Interval, bias: float) -> bool:

@@ -34,7 +34,9 @@ from camber.localizer.filter.dead_reckoning_time_update import (
 )
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.heading_search import TrackedPosition
+from camber.localizer.filter.inertial_speed import InertialSpeed
 from camber.localizer.filter.odometry import (
+    InertialReading,
     MotionStep,
     SampleOutcome,
     WheelOdometry,
@@ -47,6 +49,7 @@ from camber.localizer.filter.pose_initialization import PoseInitialization
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.scan_match_update import MatchUpdate, ScanMatches, late_noise
 from camber.localizer.filter.source_conflict import SourceConflict
+from camber.localizer.filter.speed_error import SpeedError
 from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag, RelativeTrack, TrackPoint
 from camber.localizer.filter.wheel_slip import WheelSlipDetector
@@ -57,6 +60,8 @@ from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M
 from camber.schemas.motion import Motion
 
 _NO_LAG = OverlayLag()
+_OVERLAY_S = 1.0  # sweeps that are overlaid in a match are no older
+_KNOWN_SPEED_SIGMA_M_S = 0.2  # chosen: a fifth of a metre over the second in which the judge carries a pose
 _RECOVERY_SHARE = 0.01  # chosen: (a tenth)² of the offset from a pose that was given up adds to the variance
 
 
@@ -75,9 +80,13 @@ class PoseFilter:
         self.state = FilterState(self.model, extra_states)
         self._yaw_rates = YawRateCoupling(self.state, self.model)
         self._link = LinkCoupling(self.state, self.model)
-        self._anchors = Anchors(self.state, self.model)
-        self._wheel_slip = WheelSlipDetector(self.state, self.model)
-        self._matches = ScanMatches(self.state, self._wheel_slip, self.model)
+        self._speed_error = SpeedError(self.state, self.model.anchor_max_age_s + _OVERLAY_S)
+        self._anchors = Anchors(self.state, self._speed_error, self.model)
+        self._wheel_slip = WheelSlipDetector(self.state, self._speed_error, self.model)
+        self._inertial_speed = InertialSpeed(
+            self.state, self._speed_error, motion=motion, acceleration=self.model.acceleration
+        )
+        self._matches = ScanMatches(self.state, self._wheel_slip, self._speed_error, self.model)
         self._conflict = SourceConflict(self.model.holds_for_s)
         self._odometry = OdometryContradiction(self.state, self.model)
         self._initialization = PoseInitialization(self.state, self._yaw_rates, self.model)
@@ -110,6 +119,18 @@ class PoseFilter:
         return "anchored" if fresh and self._provenance == "confirmed" else "dead_reckoning"
 
     @property
+    def speed_is_integrated(self) -> bool:
+        """Whether an accelerometer carries the speed on, as the wheels give none."""
+        return self._speed_error.is_integrated
+
+    @property
+    def measures_distance(self) -> bool:
+        """Whether the distance driven in a second is known to a decimetre or two: no wheel slip, no vague speed."""
+        if self._speed_error.is_integrated:
+            return self._inertial_speed.sigma_m_s < _KNOWN_SPEED_SIGMA_M_S
+        return not self._wheel_slip.active
+
+    @property
     def wheel_slip_suspected(self) -> bool:
         """Whether the wheels do not show the vehicle's speed."""
         return self._wheel_slip.active
@@ -140,7 +161,7 @@ class PoseFilter:
         now, sample, step = self.time_ns, self._last_sample, self._last_step
         if now is None or sample is None or step is None or self._provenance == "none":
             return None
-        x, blind = self.state.x, sample.wheel_speed_m_s is None
+        x = self.state.x
         return PoseEstimate(
             time_ns=now,
             mode=self.mode,
@@ -150,7 +171,7 @@ class PoseFilter:
             yaw_rad=wrap_pi(float(x[YAW])),
             yaw_known=self._initialization.heading_known,
             covariance=self.state.p[:3, :3] + self._conflict.covariance(now),
-            speed_m_s=None if blind else speed_over_ground(x, step),
+            speed_m_s=speed_over_ground(x, step) if self._knows_speed(sample) else None,
             yaw_rate_rad_s=self._rate_rad_s,
             rotation_read=reading(sample, self.model.motion.a_rate_sensor) is not None,
             anchor_time_ns=self._anchor_ns,
@@ -178,10 +199,11 @@ class PoseFilter:
             covariance=covariance + self._conflict.covariance(self.time_ns),
         )
 
-    def predict(self, sample: Motion) -> SampleOutcome:
-        """Propagate the pose to this sample; return whether it was used."""
+    def predict(self, sample: Motion, inertial: InertialReading | None = None) -> SampleOutcome:
+        """Propagate the pose to this sample, with what an inertial unit has measured; return whether it was used."""
         model, state = self.model.motion, self.state
-        step = self._odometer.advance(sample, float(state.x[self._gyro]))
+        may_stand = self._speed_error.is_integrated and self._inertial_speed.may_stand
+        step = self._odometer.advance(sample, float(state.x[self._gyro]), inertial, may_stand=may_stand)
         if step.outcome in ("repeated", "backwards"):
             return step.outcome
         self._last_sample = sample
@@ -189,6 +211,7 @@ class PoseFilter:
             self._lose_pose()
         bias, scale, gain = float(state.x[BIAS_A]), float(state.x[SCALE]), float(state.x[TURN_GAIN])
         turn = yaw_rate(step, model.a_rate_sensor, model, bias=bias, scale=scale, gain=gain)
+        self._begin_speed(sample, step, inertial)
         slip_change = self._wheel_slip.before_step(sample.time_ns, sample.wheel_speed_m_s, step)
         if self._wheel_slip.active:
             step = step._replace(standing=False, wheel_change_m_s=0.0)
@@ -196,7 +219,8 @@ class PoseFilter:
         speed = speed_over_ground(self.state.x, step)
         rate = turn.rate_rad_s if turn else 0.0
         self._rate_rad_s = None if turn is None else 0.0 if step.standing else rate
-        self.track.append(sample.time_ns, step, speed, rate)
+        tilt = (0.0, 0.0) if inertial is None else (inertial.roll_rad, inertial.pitch_rad)
+        self.track.append(sample.time_ns, step, speed, rate, tilt_rad=tilt)
         if step.outcome == "first":
             return step.outcome
         posed = self._provenance != "none"
@@ -205,6 +229,8 @@ class PoseFilter:
         self.travelled_m += path
         state.age_common(self.model, step.dt_s, path, self._link.sigma_m)
         self._wheel_slip.after_step(step, slip_change)
+        if inertial is not None and step.is_integrated:
+            self._inertial_speed.after_step(step, inertial)
         if step.standing:
             self._learn_bias(step)
         if step.outcome == "gap":
@@ -218,6 +244,33 @@ class PoseFilter:
             self._drop_lost_estimates()
         self._odometry.advance(sample.time_ns, step)
         return step.outcome
+
+    def _begin_speed(self, sample: Motion, step: MotionStep, inertial: InertialReading | None) -> None:
+        """Begin or end to integrate the speed, where the wheels have ceased or begun to give it.
+
+        A unit that is quiet when it is switched on stands.
+        """
+        error, is_gap = self._speed_error, step.outcome == "gap"
+        error.now_ns = sample.time_ns
+        if sample.wheel_speed_m_s is not None or inertial is None:
+            if error.is_integrated:
+                self._inertial_speed.end()
+        elif is_gap or (step.is_integrated and not error.is_integrated):
+            self._wheel_slip.forget()
+            begin_ns = sample.time_ns - round(step.dt_s * 1e9)
+            known = not is_gap and (self._odometer.has_speed or inertial.is_quiet)
+            self._inertial_speed.begin(begin_ns, speed_known=known)
+
+    def _knows_speed(self, sample: Motion) -> bool:
+        """Whether the speed is known: by the wheels, or by fresh matches that an accelerometer carries on."""
+        if sample.wheel_speed_m_s is not None:
+            return True
+        matched = self._is_fresh(self._position_match_ns, self.model.match_fresh_s)
+        return (
+            self._speed_error.is_integrated
+            and matched
+            and self._inertial_speed.sigma_m_s < _KNOWN_SPEED_SIGMA_M_S
+        )
 
     def _learn_bias(self, step: MotionStep) -> None:
         """At a standstill the yaw-rate sensor reads its bias: a measurement of one state."""

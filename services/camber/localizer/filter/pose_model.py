@@ -9,6 +9,15 @@ from camber.localizer.filter.odometry import MotionModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AccelerationModel:
+    """Error of an inertial unit's forward acceleration: noise, and a Gauss-Markov process of bias and levelling."""
+
+    noise_m_s_sqrt_s: float = 1e-3
+    error_sigma_m_s2: float = 0.3
+    error_time_s: float = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
     """Antenna: x forward, y left of the vehicle's reference point. Gates are chi-square.
 
@@ -17,6 +26,7 @@ class PoseModel:
     """
 
     motion: MotionModel = field(default_factory=MotionModel)
+    acceleration: AccelerationModel = field(default_factory=AccelerationModel)
     antenna_x_m: float = 0.0
     antenna_y_m: float = 0.0
     anchor_sigma_floor_m: float = 0.05

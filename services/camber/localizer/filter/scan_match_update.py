@@ -22,10 +22,11 @@ import numpy as np
 from camber.geodesy.angles import wrap_pi
 from camber.localizer.arrays import Floats
 from camber.localizer.filter.consistent_match_sequence import ConsistentMatchSequence, MatchedPose
-from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, SCALE, WHEEL_LAG, WHEEL_SLIP, YAW
+from camber.localizer.filter.dead_reckoning_time_update import EAST, NORTH, SCALE, SPEED_ERROR, WHEEL_LAG, YAW
 from camber.localizer.filter.filter_state import MATCH_EAST, MATCH_NORTH, MATCH_YAW, FilterState
 from camber.localizer.filter.planar_pose import rotated
 from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.filter.speed_error import SpeedError
 from camber.localizer.filter.track import OverlayLag, TrackPoint
 from camber.localizer.filter.wheel_slip import WheelSlipDetector
 
@@ -66,8 +67,10 @@ class _Observation(NamedTuple):
 class ScanMatches:
     """Updates a pose whose heading is known by scan matches."""
 
-    def __init__(self, state: FilterState, wheel_slip: WheelSlipDetector, model: PoseModel) -> None:
-        self._state, self._wheel_slip, self._model = state, wheel_slip, model
+    def __init__(
+        self, state: FilterState, wheel_slip: WheelSlipDetector, error: SpeedError, model: PoseModel
+    ) -> None:
+        self._state, self._wheel_slip, self._error, self._model = state, wheel_slip, error, model
         self.sequence = ConsistentMatchSequence(model.match_gate)
         self.held_at_m = -math.inf  # path at which a match or an anchor last held the pose
         self._accepted: list[MatchedPose] = []  # of the last second
@@ -99,14 +102,14 @@ class ScanMatches:
             self.sequence.add(match, unique=unique)
             self._rejected_ns = match.time_ns
             return MatchUpdate("outside_gate", innovation)
-        slip = float(self._state.x[WHEEL_SLIP])
+        speed_error = float(self._state.x[SPEED_ERROR])
         self._state.update_joseph(
             observation.h,
             observation.innovation,
             observation.noise / self._independent_share(match),
             update_sensors=not self._follows_rejection(match),
         )
-        self._wheel_slip.record_update(slip)
+        self._error.record_update(speed_error)
         self.accept(match)
         return MatchUpdate("accepted", innovation)
 
@@ -158,19 +161,21 @@ class ScanMatches:
         """
         x, then = self._state.x, match.track
         since = rotated(float(x[YAW]) - here.yaw_rad, here.east_m - then.east_m, here.north_m - then.north_m)
-        if self._wheel_slip.active:
-            untracked = rotated(float(x[YAW]), self._wheel_slip.untracked_m(match.time_ns), 0.0)
+        if self._error.is_estimated:
+            untracked = rotated(float(x[YAW]), self._error.untracked_m(_sweeps_ns(match)), 0.0)
             since = since[0] + untracked[0], since[1] + untracked[1]
         turned = here.yaw_rad - then.yaw_rad
         h = self._state.rows(3)
         h[0, EAST] = h[1, NORTH] = h[2, YAW] = 1.0
         h[0, MATCH_EAST] = h[1, MATCH_NORTH] = h[2, MATCH_YAW] = 1.0
         h[0, YAW], h[1, YAW] = since[1], -since[0]
-        if self._wheel_slip.active:
-            h = self._with_slip(h, match)
+        if self._error.is_estimated:
+            h = self._with_speed_error(h, match)
         yaw = wrap_pi(match.yaw_rad - float(x[YAW]) + turned - float(x[MATCH_YAW]))
         east = match.east_m - float(x[EAST]) + since[0] - float(x[MATCH_EAST])
         north = match.north_m - float(x[NORTH]) + since[1] - float(x[MATCH_NORTH])
+        if self._error.is_integrated:
+            return _Observation(h, np.array([east, north, yaw]), match.covariance + late_noise(then, here))
         lag = _lag_now(match, here)
         by_wheels = (1.0 + float(x[SCALE])) * (lag.wheel_m + float(x[WHEEL_LAG]) * lag.wheel_change_m_s)
         if abs(by_wheels - lag.path_m) < _TRACK_FOLLOWS * (1.0 + abs(lag.path_m)):
@@ -199,21 +204,21 @@ class ScanMatches:
 
     def _detect_slip(self, observation: _Observation, match: MatchedPose) -> bool:
         """Suspect wheel slip where only that explains the match; return whether it is suspected from now on."""
-        since_ns = None if self._wheel_slip.active else self._contradicts_wheels_since_ns(match)
+        since_ns = None if self._error.is_estimated else self._contradicts_wheels_since_ns(match)
         if since_ns is None:
             return False
         covariance = self._wheel_slip.covariance_if_slipping(since_ns)
-        h = self._with_slip(observation.h, match)
+        h = self._with_speed_error(observation.h, match)
         if observation._replace(h=h).nis(covariance) > self._model.slip_gate:
             return False
         self._wheel_slip.begin(since_ns, covariance)
         return True
 
-    def _with_slip(self, h: Floats, match: MatchedPose) -> Floats:
-        """Return rows (3, n) in which the displacement since the match depends on the slip."""
-        h, late_s = h.copy(), self._wheel_slip.duration_s(match.time_ns)
+    def _with_speed_error(self, h: Floats, match: MatchedPose) -> Floats:
+        """Return rows (3, n) in which the displacement since the match depends on the error of the speed."""
+        h, late_s = h.copy(), self._error.duration_s(_sweeps_ns(match))
         yaw = float(self._state.x[YAW])
-        h[0, WHEEL_SLIP], h[1, WHEEL_SLIP] = -late_s * math.cos(yaw), -late_s * math.sin(yaw)
+        h[0, SPEED_ERROR], h[1, SPEED_ERROR] = -late_s * math.cos(yaw), -late_s * math.sin(yaw)
         return h
 
     def _contradicts_wheels_since_ns(self, match: MatchedPose) -> int | None:
@@ -234,11 +239,16 @@ class ScanMatches:
 
     def _independent_share(self, match: MatchedPose) -> float:
         """Return the share of a match, in ]0, 1], that is independent of the one before."""
-        if self._last is None or self._wheel_slip.active:  # with slip no other source observes the distance
+        if self._last is None or self._error.is_estimated:  # then no other source observes the distance
             return 1.0
         distance = abs(match.track.path_m - self._last.track.path_m) / self._model.match_renewed_m
         time = (match.time_ns - self._last.time_ns) * 1e-9 / self._model.match_renewed_s
         return min(1.0, max(1e-3, distance + time))
+
+
+def _sweeps_ns(match: MatchedPose) -> int:
+    """Return the mean time of the overlaid sweeps of a match."""
+    return match.time_ns - round(match.overlay_lag.duration_s * 1e9)
 
 
 def _lag_now(match: MatchedPose, here: TrackPoint) -> OverlayLag:

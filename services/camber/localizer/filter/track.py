@@ -14,7 +14,10 @@ from camber.localizer.filter.odometry import MotionStep
 
 
 class TrackPoint(NamedTuple):
-    """A point of the track [m, rad]. `wheel_m`, `wheel_m_s`: distance and speed by the wheels, uncorrected."""
+    """A point of the track [m, rad]. `wheel_m`, `wheel_m_s`: distance and speed by the wheels, uncorrected.
+
+    Roll and pitch are those of an inertial unit, zero without one: their changes count, not they themselves.
+    """
 
     east_m: float = 0.0
     north_m: float = 0.0
@@ -22,14 +25,17 @@ class TrackPoint(NamedTuple):
     path_m: float = 0.0
     wheel_m: float = 0.0
     wheel_m_s: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
 
 
 class OverlayLag(NamedTuple):
-    """Mean distance and change of speed from overlaid sweeps to the newest: by the track, and by the wheels."""
+    """Mean distance, change of speed and time from overlaid sweeps to the newest: by the track, and by the wheels."""
 
     path_m: float = 0.0
     wheel_m: float = 0.0
     wheel_change_m_s: float = 0.0
+    duration_s: float = 0.0
 
 
 class RelativeTrack:
@@ -44,8 +50,16 @@ class RelativeTrack:
         self.begin_ns: int | None = None
         """Since when the track has had no gap; None before any motion. It is kept for less long."""
 
-    def append(self, time_ns: int, step: MotionStep, speed_m_s: float, rate_rad_s: float) -> None:
-        """Extend the track by a step at corrected speed and yaw rate; times must increase."""
+    def append(
+        self,
+        time_ns: int,
+        step: MotionStep,
+        speed_m_s: float,
+        rate_rad_s: float,
+        *,
+        tilt_rad: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Extend the track by a step at corrected speed and yaw rate, to a roll and pitch; times must increase."""
         here = self._points[-1] if self._points else TrackPoint()
         wheel_m = here.wheel_m
         if step.standing:
@@ -57,7 +71,10 @@ class RelativeTrack:
             self.begin_ns = time_ns
             self._times_ns.clear()
             self._points.clear()
-        self._points.append(moved._replace(wheel_m=wheel_m, wheel_m_s=step.wheel_m_s))
+        roll_rad, pitch_rad = tilt_rad
+        self._points.append(
+            moved._replace(wheel_m=wheel_m, wheel_m_s=step.wheel_m_s, roll_rad=roll_rad, pitch_rad=pitch_rad)
+        )
         self._times_ns.append(time_ns)
         self._speed_m_s, self._rate_rad_s = speed_m_s, rate_rad_s
         if self._times_ns[0] < time_ns - 2 * self._keep_ns:

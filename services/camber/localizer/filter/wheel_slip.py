@@ -1,6 +1,6 @@
 """Detection of wheel slip, and the state of the slip while it is suspected.
 
-Tyre grip bounds the acceleration of a vehicle; wheels can change faster. While slip is suspected, `WHEEL_SLIP`, the
+Tyre grip bounds the acceleration of a vehicle; wheels can change faster. While slip is suspected, `SPEED_ERROR`, the
 speed over ground less the wheel speed, is a state: matches and anchors estimate it at once, and the wheel scale is
 not learnt from it. The slip takes up changes of wheel speed that no vehicle makes, and what follows within
 `slip_window_s`. A later change may be the vehicle's or the slip's: the slip takes up half of it, with a σ of half,
@@ -23,36 +23,37 @@ import math
 import numpy as np
 
 from camber.localizer.arrays import Floats
-from camber.localizer.filter.dead_reckoning_time_update import SCALE, WHEEL_SLIP, YAW
+from camber.localizer.filter.dead_reckoning_time_update import SCALE, SPEED_ERROR, YAW
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import MotionStep
 from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.filter.speed_error import SpeedError
 
 
 class WheelSlipDetector:
     """Detects wheel slip, and updates its state."""
 
-    def __init__(self, state: FilterState, model: PoseModel) -> None:
-        self._state, self._model = state, model
+    def __init__(self, state: FilterState, error: SpeedError, model: PoseModel) -> None:
+        self._state, self._error, self._model = state, error, model
         self._recent: list[tuple[int, float]] = []  # times and mean wheel speeds of the last window
         self._block: list[tuple[int, float]] = []  # readings not in it yet
         self._last_m_s: float | None = None
         self._standing_s = 0.0  # how long the wheels have stood
-        self._now_ns = self._since_ns = 0
-        self.forget()
+        self._end()
 
     def forget(self) -> None:
         """End the suspicion of slip."""
+        if self.active:
+            self._error.end()
+        self._end()
+
+    def _end(self) -> None:
         self.active = False
         self._agreed_s = self._unobserved_s = self._half_changes_m_s = 0.0
         self._jump_ns: int | None = None
-        self._updates: list[tuple[int, float]] = []  # times and changes of the slip by observations
-        self._state.set_independent(WHEEL_SLIP, 0.0)
-        self._state.x[WHEEL_SLIP] = 0.0
 
     def before_step(self, time_ns: int, speed_m_s: float | None, step: MotionStep) -> float:
         """Apply the first half of a step's change of slip, before the pose is propagated; return the change."""
-        self._now_ns = time_ns
         change = self._wheel_change(time_ns, speed_m_s, step)
         at_rest = speed_m_s is not None and abs(speed_m_s) <= self._model.motion.standstill_speed_m_s
         self._standing_s = self._standing_s + step.dt_s if at_rest else 0.0
@@ -61,7 +62,7 @@ class WheelSlipDetector:
         if not self._is_jumping(time_ns):
             change *= 0.5
             self._add_half_change(change)
-        self._state.x[WHEEL_SLIP] -= 0.5 * change
+        self._state.x[SPEED_ERROR] -= 0.5 * change
         return change
 
     def after_step(self, step: MotionStep, change_m_s: float) -> None:
@@ -69,19 +70,19 @@ class WheelSlipDetector:
         if not self.active:
             return
         model, state = self._model, self._state
-        state.x[WHEEL_SLIP] -= 0.5 * change_m_s
-        slip = abs(float(state.x[WHEEL_SLIP]))
+        state.x[SPEED_ERROR] -= 0.5 * change_m_s
+        slip = abs(float(state.x[SPEED_ERROR]))
         if self._standing_s > 0.0:
-            state.renew(WHEEL_SLIP, math.exp(-step.dt_s / model.locked_time_s), slip)
+            state.renew(SPEED_ERROR, math.exp(-step.dt_s / model.locked_time_s), slip)
         else:
             state.renew(
-                WHEEL_SLIP, math.exp(-step.dt_s / model.slip_state_time_s), model.slip_state_sigma_m_s
+                SPEED_ERROR, math.exp(-step.dt_s / model.slip_state_time_s), model.slip_state_sigma_m_s
             )
         self._unobserved_s += step.dt_s
-        sigma = math.sqrt(float(state.p[WHEEL_SLIP, WHEEL_SLIP]))
+        sigma = math.sqrt(float(state.p[SPEED_ERROR, SPEED_ERROR]))
         agrees = sigma < model.slip_state_sigma_m_s / 3.0 and slip < 2.0 * sigma
         self._agreed_s = self._agreed_s + step.dt_s if agrees else 0.0
-        has_jumped = self._jump_ns is not None and not self._is_jumping(self._now_ns)
+        has_jumped = self._jump_ns is not None and not self._is_jumping(self._error.now_ns)
         if (
             self._standing_s > model.locked_for_s
             or (has_jumped and slip < model.slip_recovered_m_s)
@@ -94,34 +95,20 @@ class WheelSlipDetector:
         """Note that a measurement has observed the vehicle's position."""
         self._unobserved_s = 0.0
 
-    def record_update(self, slip_before_m_s: float) -> None:
-        """Record by how much an observation has changed the slip."""
-        oldest_ns = self._now_ns - round(self._model.match_max_age_s * 1e9)
-        update = (self._now_ns, float(self._state.x[WHEEL_SLIP]) - slip_before_m_s)
-        self._updates = [*(one for one in self._updates if one[0] >= oldest_ns), update]
-
-    def duration_s(self, time_ns: int) -> float:
-        """Return how long since a time the vehicle has driven with the present slip."""
-        return (self._now_ns - max(time_ns, self._since_ns)) * 1e-9
-
-    def untracked_m(self, time_ns: int) -> float:
-        """Return the distance since a time that the track lacks, by later updates of the slip."""
-        begin_ns = max(time_ns, self._since_ns)
-        return sum(more * (at_ns - begin_ns) * 1e-9 for at_ns, more in self._updates if at_ns > begin_ns)
-
     def covariance_if_slipping(self, since_ns: int) -> Floats:
         """Return the covariance (n, n) had the wheels been wrong by `slip_sigma_m_s` since then."""
-        for_s = (self._now_ns - since_ns) * 1e-9
+        for_s = (self._error.now_ns - since_ns) * 1e-9
         p, sigma = self._state.p.copy(), self._model.slip_sigma_m_s
         yaw = float(self._state.x[YAW])
         ahead = np.zeros(len(p))
         ahead[:2] = math.cos(yaw) * for_s, math.sin(yaw) * for_s
-        ahead[WHEEL_SLIP] = 1.0
+        ahead[SPEED_ERROR] = 1.0
         return np.asarray(p + np.outer(ahead, ahead) * sigma**2)
 
     def begin(self, since_ns: int, covariance: Floats) -> None:
         """Suspect slip since then, with this covariance (n, n)."""
-        self.active, self._since_ns, self._updates = True, since_ns, []
+        self.active = True
+        self._error.begin(since_ns)
         self._agreed_s = self._unobserved_s = self._half_changes_m_s = 0.0
         self._state.p = covariance
 
@@ -135,7 +122,7 @@ class WheelSlipDetector:
         before, self._half_changes_m_s = self._half_changes_m_s, self._half_changes_m_s + half_m_s
         more = self._half_changes_m_s**2 - before**2
         if more > 0.0:
-            self._state.p[WHEEL_SLIP, WHEEL_SLIP] += more
+            self._state.p[SPEED_ERROR, SPEED_ERROR] += more
 
     def _wheel_change(self, time_ns: int, speed_m_s: float | None, step: MotionStep) -> float:
         """Return the change of wheel speed over a step; one that no vehicle makes begins the suspicion."""
@@ -152,11 +139,11 @@ class WheelSlipDetector:
             before_m_s = begin[1] - (speed_m_s - change)
             if not self.active:
                 self.begin(begin[0], self.covariance_if_slipping(begin[0]))
-                self._state.x[WHEEL_SLIP] = before_m_s
+                self._state.x[SPEED_ERROR] = before_m_s
             elif not self._is_jumping(time_ns):
-                self._state.x[WHEEL_SLIP] += 0.5 * before_m_s  # the slip has taken up half of it already
+                self._state.x[SPEED_ERROR] += 0.5 * before_m_s  # the slip has taken up half of it already
             self._jump_ns = time_ns
-            self._since_ns = begin[0]
+            self._error.since_ns = begin[0]
         return (1.0 + float(self._state.x[SCALE])) * change
 
     def _add_reading(self, time_ns: int, speed_m_s: float) -> bool:

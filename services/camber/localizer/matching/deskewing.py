@@ -1,7 +1,7 @@
 """Deskewing: each point of a sweep is moved to where it is seen from at the sweep's end.
 
 A point was measured where the sensor was at its time; the dead-reckoned track between then and the sweep's end
-gives the motion.
+gives the motion: in the plane of the road, with the changes of roll and pitch that an inertial unit has measured.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
+from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.localizer.arrays import Floats, Mask
 from camber.localizer.filter.track import RelativeTrack, TrackPoint
 
@@ -60,11 +61,18 @@ def sweep_motions(track: RelativeTrack, time_ns: int, span_ns: int) -> tuple[Flo
     cos, sin = math.cos(end.yaw_rad), math.sin(end.yaw_rad)
     for motion, point in zip(motions, points, strict=True):
         east, north = point.east_m - end.east_m, point.north_m - end.north_m
-        turn = point.yaw_rad - end.yaw_rad
-        motion[0, 0], motion[0, 1] = math.cos(turn), -math.sin(turn)
-        motion[1, 0], motion[1, 1] = math.sin(turn), math.cos(turn)
+        motion[:3, :3] = _turn(point, end)
         motion[0, 3], motion[1, 3] = cos * east + sin * north, cos * north - sin * east
     return motions, end
+
+
+def _turn(point: TrackPoint, end: TrackPoint) -> Floats:
+    """Return the rotation (3, 3) from the vehicle's axes at a point of the track to those at the end."""
+    turn = point.yaw_rad - end.yaw_rad
+    if point.roll_rad == end.roll_rad and point.pitch_rad == end.pitch_rad:
+        return rotation_from_roll_pitch_yaw(0.0, 0.0, turn)
+    to_end = rotation_from_roll_pitch_yaw(end.roll_rad, end.pitch_rad, 0.0).T
+    return np.asarray(to_end @ rotation_from_roll_pitch_yaw(point.roll_rad, point.pitch_rad, turn))
 
 
 @compiled_without_gil
@@ -114,8 +122,12 @@ def deskew(
             + (u * a[1, 2] + v * b[1, 2]) * z
             + (u * a[1, 3] + v * b[1, 3])
         )
-        # The motion is in the plane and does not change the heights.
-        pz = a[2, 0] * x + a[2, 1] * y + a[2, 2] * z + a[2, 3]
+        pz = (
+            (u * a[2, 0] + v * b[2, 0]) * x
+            + (u * a[2, 1] + v * b[2, 1]) * y
+            + (u * a[2, 2] + v * b[2, 2]) * z
+            + (u * a[2, 3] + v * b[2, 3])
+        )
         if -options.vehicle_rear_m < px < options.vehicle_front_m and abs(py) < options.vehicle_half_width_m:
             continue
         kept[at, 0], kept[at, 1], kept[at, 2] = px, py, pz

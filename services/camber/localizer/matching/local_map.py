@@ -114,6 +114,7 @@ class LocalMap:
             path_m=sum(at.path_m - placed.at.path_m for placed in self._placed) / n,
             wheel_m=sum(at.wheel_m - placed.at.wheel_m for placed in self._placed) / n,
             wheel_change_m_s=sum(at.wheel_m_s - placed.at.wheel_m_s for placed in self._placed) / n,
+            duration_s=1e-9 * sum(newest.sweep.time_ns - placed.sweep.time_ns for placed in self._placed) / n,
         )
         return LocalCloud(points_m=points_m, lag=lag)
 

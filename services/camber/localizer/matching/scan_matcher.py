@@ -206,7 +206,9 @@ class ScanMatcher:
     def _guide(self, time_ns: int, plane: LocalPlane | None) -> tuple[MatchGuide, LocalPlane | None]:
         """Return the pose that predicts a sweep, and its plane: the independent one where it is certain."""
         independent, guide = self._independent, self._independent_guide
-        if independent is None or guide is None or not guide.is_certain(time_ns):
+        if independent is None or guide is None or not independent.knows_motion:
+            return self._pose_guide, plane
+        if not guide.is_certain(time_ns):
             return self._pose_guide, plane
         return guide, independent.plane
 
@@ -226,9 +228,9 @@ class ScanMatcher:
         return sweep
 
     def _overlay(self, sweep: PreparedSweep) -> GroundPlane | None:
-        """Add a sweep to the local map; return its ground. Not accumulated over suspected wheel slip."""
+        """Add a sweep to the local map; return its ground. Not accumulated while the speed is not known."""
         assert sweep.at is not None
-        if self._motion.wheel_slip_suspected:
+        if not self._motion.measures_distance:
             self._local_map.reset()
         ground = ground_plane(sweep.points_m, self._options.mount)
         tilt = ground.tilt if ground is not None else LEVEL
@@ -237,9 +239,11 @@ class ScanMatcher:
 
     @property
     def _motion(self) -> PoseFilter:
-        """Whose track deskews and overlays: one that no fix has calibrated, where there is one."""
+        """Whose track deskews and overlays: one that no fix has calibrated, where there is one that knows its speed."""
         independent = self._independent
-        return self._filter if independent is None or not independent.active else independent.position.filter
+        if independent is None or not independent.knows_motion:
+            return self._filter
+        return independent.position.filter
 
     def _locate(
         self, guide: MatchGuide, plane: LocalPlane | None, time_ns: int, now_ns: int
@@ -421,7 +425,7 @@ class ScanMatcher:
         is not matched without a search: along a row of equal houses any of them fits.
         """
         independent, guide = self._independent, self._independent_guide
-        if independent is None or guide is None or not independent.active:
+        if independent is None or guide is None or not independent.knows_motion:
             return
         if 0 <= sweep.time_ns - guide.searched_ns < self._pause_ns:
             return

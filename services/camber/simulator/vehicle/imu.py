@@ -122,7 +122,7 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
         ),
     ),
     # Sensonor STIM300, data sheet TS1524, 10 g: 0.15 °/√h, 0.5 °/h, bias range ± 250 °/h, 500 ppm, 1 mrad, ± 400 °/s;
-    # 0.07 m/s/√h, 0.05 mg, ± 0.75 mg from run to run, 300 ppm, 1 mrad.
+    # 0.06 m/s/√h, 0.05 mg, ± 0.75 mg from run to run, 300 ppm, 1 mrad.
     "tactical": InertialUnit(
         gyro=InertialErrors(
             noise_density=math.radians(0.15) / _SQRT_H,
@@ -134,7 +134,7 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
             limit=math.radians(400.0),
         ),
         accelerometer=InertialErrors(
-            noise_density=0.07 / _SQRT_H,
+            noise_density=0.06 / _SQRT_H,
             instability=0.05 * _MG,
             bias_sigma=0.75 * _MG,
             scale_sigma=300e-6,

@@ -25,6 +25,7 @@ from camber.schemas.base import Message
 from camber.schemas.drive import ManifestError
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
+from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import Pose, ScanMatch
 from camber.tools.localize.local_map_queries import release_for
 from camber.tools.localize.localizer_config import localizer_config
@@ -46,9 +47,9 @@ def localizer_settings(
 
 def drive_map(inputs: DriveInputs, *needed: tuple[object, str]) -> Release:
     """Return the map of a drive. ManifestError names what is missing: motion, the map, or what else is `needed`."""
-    motion = "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"
+    motion = "table motion or imu, expected one, or wheel_speed and yaw_rate in surrogates.inputs"
     release = "table map, expected one, or links and road_surfaces as surrogates"
-    for present, name in ((inputs.motion, motion), *needed, (inputs.map_release, release)):
+    for present, name in ((inputs.motion or inputs.imu, motion), *needed, (inputs.map_release, release)):
         if not present:
             raise ManifestError(f"{inputs.manifest.name}: no {name}")
     assert inputs.map_release is not None  # checked above
@@ -106,8 +107,12 @@ def localize(
         for tick in inputs.ticks():
             _deliver_before(tick.time_ns + 1, fixed, localization.on_fix)
             _deliver_before(tick.time_ns, confirmed, localization.on_verdict)
-            for motion in tick.motion:
-                localization.on_motion(motion)
+            samples: tuple[Motion | Imu, ...] = (*tick.motion, *tick.imu)
+            for sample in sorted(samples, key=lambda sample: sample.time_ns):
+                if isinstance(sample, Imu):
+                    localization.on_imu(sample)
+                else:
+                    localization.on_motion(sample)
             sweeps = list(reader.read(tick.sweeps)) if matcher is not None else []
             began_s = time.perf_counter()
             for sweep in sweeps:

@@ -106,7 +106,7 @@ def test_propagation_carries_the_covariance_by_its_true_derivatives(sensor):
         propagate(x, p, step, turn=turn, model=model)
         return x, step, turn
 
-    x0 = np.array([3.0, -2.0, 0.7, 0.01, 0.0, 0.02, 0.004, 0.01, 0.1, 0.3])
+    x0 = np.array([3.0, -2.0, 0.7, 0.01, 0.0, 0.02, 0.004, 0.01, 0.1, 0.3, 0.05])
     f = np.column_stack([(run(x0 + e)[0] - run(x0 - e)[0]) / 2e-6 for e in 1e-6 * np.eye(N_MOTION)])
     root = np.random.default_rng(4).standard_normal((N_MOTION, N_MOTION))
     p0 = root @ root.T

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
+from camber.geodesy.se3 import invert, map_from_vehicle, rotation_from_roll_pitch_yaw, transform_points
 from camber.localizer.filter.odometry import MotionStep
 from camber.localizer.filter.track import RelativeTrack
-from camber.localizer.matching.deskewing import SweepOptions
+from camber.localizer.matching.deskewing import SweepOptions, SweepTimes, deskew, sweep_motions
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
     SensorMount,
@@ -203,3 +203,31 @@ def test_arrays_of_other_shapes_are_refused() -> None:
         prepared(np.zeros((5, 2), np.float32), np.zeros(5, np.int32))
     with pytest.raises(ValueError, match="shapes"):
         prepared(np.zeros((5, 3), np.float32), np.zeros(4, np.int32))
+
+
+def test_a_body_that_rolls_and_pitches_is_deskewed_by_an_inertial_unit() -> None:
+    """Points of a resting world, seen from a body that sways, are where they are seen from at the end."""
+    track, rng = RelativeTrack(), np.random.default_rng(6)
+
+    def tilt(s: float) -> tuple[float, float]:
+        return 0.05 * math.sin(20.0 * s), 0.08 * math.cos(15.0 * s)
+
+    begin_ns = 10**18
+    for k in range(26):
+        step = MotionStep("first" if k == 0 else "applied", 0.01, speed_m_s=0.0)
+        track.append(begin_ns + k * 10_000_000, step, 0.0, 0.0, tilt_rad=tilt(0.01 * k))
+    end_s, offsets_s = 0.2, np.sort(rng.uniform(-0.1, 0.0, 500))
+    world_m = rng.uniform(-20.0, 20.0, (500, 3)) + np.array([30.0, 0.0, 3.0])
+    seen_m = np.array(
+        [
+            rotation_from_roll_pitch_yaw(*tilt(end_s + s), 0.0).T @ point
+            for s, point in zip(offsets_s, world_m, strict=True)
+        ]
+    )
+    motions, at = sweep_motions(track, begin_ns + 200_000_000, 100_000_000)
+    assert at is not None
+    times = SweepTimes((offsets_s * 1e9).astype(np.int32), 200_000_000, 100_000_000)
+    kept_m, _ = deskew(seen_m.astype(np.float32), times, motions, SweepOptions(max_range_m=100.0))
+    expected_m = world_m @ rotation_from_roll_pitch_yaw(*tilt(end_s), 0.0)
+    assert np.abs(kept_m - expected_m).max() < 0.03
+    assert np.abs(seen_m - expected_m).max() > 1.0

@@ -1,0 +1,1 @@
+"""Inertial measurement unit: strap-down integration, levelling and noise classes."""
