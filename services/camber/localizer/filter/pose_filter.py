@@ -34,7 +34,6 @@ from camber.localizer.filter.dead_reckoning_time_update import (
 )
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.heading_search import TrackedPosition
-from camber.localizer.filter.inertial_speed import InertialSpeed
 from camber.localizer.filter.odometry import (
     InertialReading,
     MotionStep,
@@ -54,6 +53,7 @@ from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag, RelativeTrack, TrackPoint
 from camber.localizer.filter.wheel_slip import WheelSlipDetector
 from camber.localizer.filter.yaw_rate_coupling import YawRateCoupling
+from camber.localizer.inertial.inertial_speed import InertialSpeed
 from camber.localizer.links.link_coupling import CouplingOutcome, LinkCoupling
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.matching.match_covariance import DEGENERATE_SIGMA_M

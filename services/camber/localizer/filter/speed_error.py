@@ -1,7 +1,7 @@
 """The error of the odometer's speed as a state of the filter, while it is estimated.
 
 It is wheel slip while that is suspected (`wheel_slip`), or what a speed that is integrated from an accelerometer is off
-by (`inertial_speed`).
+by (`inertial.inertial_speed`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Motion samples of an inertial unit and the vehicle's wheels together.
 
 The unit gives the turns, the wheels the speed. Where the wheels are silent the accelerometer carries the speed on
-(`filter.inertial_speed`), and where the unit is silent the wheels go on without a yaw rate: the vehicle's sensor of it
+(`inertial_speed`), and where the unit is silent the wheels go on without a yaw rate: the vehicle's sensor of it
 has another bias than the one that the pose filter has learnt.
 """
 

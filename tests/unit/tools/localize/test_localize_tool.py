@@ -200,7 +200,10 @@ def test_with_a_given_pose_no_fix_changes_a_bit(blind: Path, tmp_path: Path) -> 
         ({"sweeps": None}, "no table sweeps with sweeps in it, expected one, or --no-match-sweeps"),
         ({"initial_pose": None}, "no initial_pose, expected one, or --fixes or --anchors to start from"),
         ({"map": None}, "no table map, expected one, or links and road_surfaces as surrogates"),
-        ({"motion": None}, "no table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs"),
+        (
+            {"motion": None},
+            "no table motion or imu, expected one, or wheel_speed and yaw_rate in surrogates.inputs",
+        ),
     ],
 )
 def test_what_a_drive_lacks_is_one_line(
