@@ -13,6 +13,8 @@ from camber.formats.ros.judged_messages import (
     ANTENNA_FRAME,
     diagnostics_message,
     fix_message,
+    is_trusted,
+    no_fix_message,
     pose_message,
     usable_place,
 )
@@ -53,15 +55,15 @@ class FixOutput:
         if verdict is None or position.source != "rtk" or position.fix_id != verdict.fix_id:
             return None, False
         self._confirmed, self._published_ns = None, now_ns
-        trusted = usable_place(position) is not None and position.time_ns == verdict.time_ns
-        return fix_message(verdict if trusted else _unknown(verdict.time_ns)), trusted
+        trusted = is_trusted(verdict, position)
+        return fix_message(verdict) if trusted else no_fix_message(verdict.time_ns), trusted
 
     def due(self, now_ns: int) -> Any | None:
         """Return NO_FIX of now where nothing was published for the silence, or the clock was set back."""
         if 0 <= now_ns - self._published_ns < self._silence_ns:
             return None
         self._published_ns = now_ns
-        return fix_message(_unknown(now_ns))
+        return no_fix_message(now_ns)
 
 
 def base_pose(position: Position, frame: LocalFrame, antenna: LeverArm | None, map_frame: str) -> Any | None:
@@ -145,10 +147,6 @@ def origin_text(frame: LocalFrame) -> str:
     return (
         f"latitude_deg = {degrees[0]:.9f}, longitude_deg = {degrees[1]:.9f}, height_m = {frame.height_m:.3f}"
     )
-
-
-def _unknown(time_ns: int) -> Verdict:
-    return Verdict(time_ns=time_ns, fix_id=None, verdict="unknown", reason="none")
 
 
 def _status(name: str, level: int, text: str, vehicle: str) -> Any:

@@ -53,6 +53,18 @@ def verdict_message(verdict: Verdict) -> Any:
     )
 
 
+def is_trusted(verdict: Verdict, position: Position) -> bool:
+    """Whether a position is the fix that a verdict confirms, and may be used."""
+    same = position.fix_id == verdict.fix_id and position.time_ns == verdict.time_ns
+    confirmed = verdict.verdict in CONFIRMED_VERDICTS and position.source == "rtk"
+    return confirmed and same and usable_place(position) is not None
+
+
+def no_fix_message(time_ns: int) -> Any:
+    """Return NavSatFix without a position."""
+    return fix_message(Verdict(time_ns=time_ns, fix_id=None, verdict="unknown", reason="none"))
+
+
 def fix_message(verdict: Verdict) -> Any:
     """Return NavSatFix: the antenna's position where the fix was confirmed, else NO_FIX and NaN.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ def export_bag(run: Path, out: Path) -> str:
     if first is None or isinstance(first, RecordingError):
         raise first or FormatError(recording.name, "messages", "verdicts or positions")
     with Writer(out, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
-        topics = _BagTopics(bag)
+        topics = _BagTopics(bag, _positions_of_fixes(recording))
         for item in chain([first], items):
             if isinstance(item, RecordingError):
                 errors.append(item)
@@ -73,10 +73,18 @@ def export_bag(run: Path, out: Path) -> str:
     return "\n".join([*lines, *map(str, errors), f"Written: {out}."])
 
 
+def _positions_of_fixes(recording: Path) -> dict[tuple[int | None, int], Position]:
+    """Return the positions that are fixes by the fix and their time: a verdict comes before its position."""
+    items = read_recording(recording, ("position",))
+    messages = [item.message for item in items if not isinstance(item, RecordingError)]
+    return {(message.fix_id, message.time_ns): message for message in messages if message.source == "rtk"}
+
+
 class _BagTopics:
     """The topics of a bag. The origin of `map` is the first usable position."""
 
-    def __init__(self, bag: Writer) -> None:
+    def __init__(self, bag: Writer, positions: Mapping[tuple[int | None, int], Position]) -> None:
+        self._positions = positions
         self.counts: Counter[str] = Counter()
         self.map_frame: LocalFrame | None = None
         self._bag, self._types = bag, message_types()
@@ -90,7 +98,10 @@ class _BagTopics:
         if isinstance(message, Verdict):
             self._write("/camber/verdict", message.time_ns, judged.verdict_message(message))
             if message.fix_id is not None:
-                self._write("/camber/fix", message.time_ns, judged.fix_message(message))
+                position = self._positions.get((message.fix_id, message.time_ns))
+                trusted = position is not None and judged.is_trusted(message, position)
+                fix = judged.fix_message(message) if trusted else judged.no_fix_message(message.time_ns)
+                self._write("/camber/fix", message.time_ns, fix)
             return
         place = judged.usable_place(message)
         if place is not None:

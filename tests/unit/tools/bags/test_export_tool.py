@@ -15,6 +15,7 @@ from rosbags.highlevel import AnyReader
 from camber.formats.ros.message_types import VERDICT_TYPE, message_types, stamp_unix_ns
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.geodesy.local_frame import LocalFrame
+from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.tools.bags import export_command
 from support.refusals import Refused
 from support.running import recorded, replayed
@@ -59,8 +60,19 @@ def test_every_verdict_and_position_is_in_the_bag(run: Path, bag: Path) -> None:
     assert len(topics["/camber/pose"]) == sum(position.usable for position in positions)
 
 
-def test_a_status_is_above_no_fix_only_for_confirmed_fixes(run: Path, bag: Path) -> None:
-    verdicts = [item.message for item in recorded(run)["verdict"] if item.message.fix_id is not None]
+def test_a_status_is_above_no_fix_only_for_confirmed_and_usable_fixes(run: Path, bag: Path) -> None:
+    messages = recorded(run)
+    verdicts = [item.message for item in messages["verdict"] if item.message.fix_id is not None]
+    usable = {
+        item.message.fix_id
+        for item in messages["position"]
+        if item.message.usable and item.message.source == "rtk"
+    }
+    fixes = read(bag)["/camber/fix"]
+    assert all(
+        (message.status.status == 2) == (verdict.verdict in CONFIRMED_VERDICTS and verdict.fix_id in usable)
+        for verdict, message in zip(verdicts, fixes, strict=True)
+    )
     statuses = Counter(
         (verdict.verdict, message.status.status)
         for verdict, message in zip(verdicts, read(bag)["/camber/fix"], strict=True)
@@ -68,6 +80,8 @@ def test_a_status_is_above_no_fix_only_for_confirmed_fixes(run: Path, bag: Path)
     assert set(statuses) <= {
         ("confirmed", 2),
         ("confirmed_after_verification", 2),
+        ("confirmed", -1),
+        ("confirmed_after_verification", -1),
         ("erroneous", -1),
         ("unknown", -1),
     }
