@@ -135,9 +135,11 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
     version_2 = data[:9].strip().startswith(b"2")
     for line in (_EPOCH_OF_VERSION_2 if version_2 else _EPOCH).finditer(data, len(header)):
         year, month, day, hour, minute, second, fraction = (int(text) for text in line.groups())
-        year = full_year(year) if version_2 else year
+        date = full_year(year) if version_2 else year, month, day
         try:
-            time_ns = gps_ns_from_gpst(CalendarTime(year, month, day, hour, minute, second, 100 * fraction))
+            time_ns = gps_ns_from_gpst(
+                CalendarTime(*date, hour=hour, minute=minute, second=second, nanosecond=100 * fraction)
+            )
         except ValueError:
             continue
         yield line.start(), time_ns + offset_ns

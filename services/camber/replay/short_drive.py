@@ -32,7 +32,7 @@ from camber.simulator.random_streams import stream
 State = Literal["right", "wrong", "float", "none"]
 
 NAME = "short-drive"
-START_NS = 1_400_000_000 * 1_000_000_000
+START_NS = 1_400_000_000 * 1_000_000_000  # chosen: a time that no recording here has
 DURATION_S = 120.0
 """Chosen, as all numbers of this drive: a test or a demonstration needs no longer one."""
 RATE_HZ = 5  # chosen: as the recorded drive of Nagoya
@@ -82,7 +82,7 @@ _FIX_SIGMA_M = np.array([0.01, 0.01, 0.02])
 _FLOAT_SIGMA_M = np.array([0.4, 0.4, 0.7])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WrongEpisode:
     """Seconds after the start, and by how much the fixes of it are off: east, north, up [m]."""
 
@@ -156,7 +156,9 @@ def wrong_episodes(seed: int) -> tuple[WrongEpisode, ...]:
     """When fixes are made wrong and by how much: what wrong integers do to a position, always to its height too."""
     rng = stream(seed, "wrong fixes")
     return tuple(
-        WrongEpisode(begin, end, _lattice_offset(rng)) for begin, end, state in SCHEDULE if state == "wrong"
+        WrongEpisode(from_s=begin, to_s=end, offset_enu_m=_lattice_offset(rng))
+        for begin, end, state in SCHEDULE
+        if state == "wrong"
     )
 
 

@@ -21,10 +21,10 @@ from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import Surrogates
 from camber.simulator.random_streams import stream
 
-_SAMPLES_PER_SURFACE = 5
+_SAMPLES_PER_SURFACE = 5  # chosen: at 10 m/s and 5 Hz ten metres
 _LARGEST_TURN_RAD = np.deg2rad(30.0)
-_COLUMNS = 5
-_NEAR_M = 20.0
+_COLUMNS = 5  # chosen: a node each 1 or 2 m across a road
+_NEAR_M = 20.0  # chosen: twice the length of a surface
 
 
 def make_map(
@@ -41,7 +41,14 @@ def make_map(
     links = coarse_links(lines, errors.link_deviation_m, stream(errors.seed, "links"))
     heights_m = _noisy_heights(lines, errors)
     pieces = _pieces(lines)
-    surfaces = _surfaces(lines, heights_m, pieces, links, errors, frame, int(truth.time_ns[0]))
+    surfaces = _surfaces(
+        _Ground(lines, heights_m, pieces),
+        pieces,
+        links,
+        frame=frame,
+        sigma_m=errors.map_sigma_m,
+        seen_ns=int(truth.time_ns[0]),
+    )
     return surfaces, _to_links(links, frame, 0.5 * errors.link_deviation_m)
 
 
@@ -85,20 +92,20 @@ def _pieces(lines: RoadLines) -> Int64:
 
 
 def _surfaces(
-    lines: RoadLines,
-    heights_m: Float64,
+    ground: _Ground,
     pieces: Int64,
     links: PlaneLinks,
-    errors: Surrogates,
+    *,
     frame: LocalFrame,
+    sigma_m: float,
     seen_ns: int,
 ) -> RoadSurfaces:
+    lines = ground.lines
     n, middle = len(pieces), pieces.sum(axis=1) // 2
     begin_m, end_m = lines.east_north_m[pieces[:, 0]], lines.east_north_m[pieces[:, 1]]
     chord_m, centre_m = end_m - begin_m, 0.5 * (end_m + begin_m)
     yaw_rad = np.arctan2(chord_m[:, 1], chord_m[:, 0])
     half_length_m = 0.5 * np.hypot(*chord_m.T) + BEYOND_END_M
-    ground = _Ground(lines, heights_m, pieces)
     link_id = links.link_of_sample[middle]
     grids = []
     for k in range(n):
@@ -116,7 +123,7 @@ def _surfaces(
         yaw_rad=yaw_rad,
         half_length_m=half_length_m,
         half_width_m=np.full(n, 0.5 * WIDTH_M),
-        sigma_m=np.full(n, errors.map_sigma_m),
+        sigma_m=np.full(n, sigma_m),
         vehicles=np.zeros(n, dtype=np.int64),
         last_seen_ns=np.full(n, seen_ns),
         heights_m=grids,
@@ -141,6 +148,7 @@ class _Ground:
     """The one height of each place and level: that of the nearest piece of new track."""
 
     def __init__(self, lines: RoadLines, heights_m: Float64, pieces: Int64) -> None:
+        self.lines = lines
         first = np.concatenate([np.arange(first, last) for first, last in pieces])
         self._from_m = lines.east_north_m[first]
         self._step_m = lines.east_north_m[first + 1] - self._from_m

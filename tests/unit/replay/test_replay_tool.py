@@ -45,7 +45,7 @@ def test_the_settings_of_a_drive_are_settings_of_the_service(
     configs = process_settings(drive, out, "tcp/127.0.0.1:7999")
     assert set(configs) == set(SERVICES)
     monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
-    Processes(out, configs).start()
+    Processes(folder=out, configs=configs).start()
     cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
     settings, _ = load(cls, ["--config", str(out / "config" / f"{service}.toml")], prog="camber")
     assert settings.clock == "replay"
@@ -161,7 +161,7 @@ def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
-    processes = Processes(tmp_path, {"gnss": {}})
+    processes = Processes(folder=tmp_path, configs={"gnss": {}})
     processes.start()
     for _ in range(50):
         processes.restart_ended()

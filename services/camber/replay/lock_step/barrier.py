@@ -35,7 +35,7 @@ def _made(channel: Channel, tick: Tick) -> bool:
     return not channel.made_from or channel.made_from in tick.published
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Barrier:
     """State of one service's barrier."""
 

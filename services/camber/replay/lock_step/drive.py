@@ -43,7 +43,7 @@ def replay_through_processes(
     for left_over in ("state", "logs"):  # what an earlier run has learnt would change this one
         shutil.rmtree(folder / left_over, ignore_errors=True)
     endpoint = _free_endpoint()
-    processes = Processes(folder, process_settings(inputs, folder, endpoint))
+    processes = Processes(folder=folder, configs=process_settings(inputs, folder, endpoint))
     settings = ServiceSettings(
         vehicle=inputs.manifest.vehicle,
         clock="replay",

@@ -25,7 +25,7 @@ class _Child:
     restarts: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Processes:
     """The processes of one run; `folder` holds their settings, logs and state."""
 

@@ -91,7 +91,7 @@ class LockStepLoop(Loop):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._barrier = Barrier(self.service.NAME, self.inputs())
+        self._barrier = Barrier(service=self.service.NAME, inputs=self.inputs())
         self._kept_dones: deque[Done] = deque(maxlen=_KEPT_DONES)
         self.bus.published.setdefault("done", 0)
 

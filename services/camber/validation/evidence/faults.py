@@ -25,10 +25,10 @@ AFTER_S = 15.0
 LASTING_S = 2.0
 """Chosen: an indication repeated within this time is the same one, going on."""
 _PREFIX, _POSITIONS = "fault_", "receiver"
-NO_SURFACE = -1
+NO_SURFACE = -1  # chosen: map surfaces count from one
 _SURFACE = re.compile(r"surface (\d+)")
 _OF_LIDAR = ("blocked_lidar", "symmetric_scene")
-_NS = 1e9
+_NS = 1e9  # nanoseconds of a second
 _STATUSES = (("scan_match", "match", "converged"), ("antenna_height", "antenna_height", "known"))
 """Channel, name in texts, and the status that is usual."""
 
@@ -193,7 +193,7 @@ def _row(
         "wrong": int((acts & evaluation.fixes.wrong).sum()),
         "wrong_confirmed": int(_within(wrong_ns, window.begin_ns, window.end_ns).sum()),
         "wrong_confirmed_after": int(_within(wrong_ns, window.end_ns + 1, after_ns).sum()),
-        "said": reported,
+        "reported": reported,
         "correction_before_m": _correction_at(verdicts, window.begin_ns),
         "correction_at_end_m": _correction_at(verdicts, window.end_ns),
         "correction_after_m": _correction_at(verdicts, next_ns),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,29 +72,87 @@ def episodes(
     map_gain = process_noise_factors(assumed.map_errors, step_m)
     map_start: Floats = np.sqrt(np.diag(assumed.map_errors.stationary_covariance))
     difference, error, pose = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 2))
-    _run(
-        first, lengths, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, slope,
-        map_memory, map_gain, map_start,
-        np.zeros((n, 2)) + faults.pose_m, np.zeros(n) + faults.height_m,
-        scene.pose_sigma_m, scene.map_sigma_m, assumed.antenna_sigma_m,
-        assumed.pose_time_s, assumed.antenna_time_s, 1.0 / assumed.epochs_per_s, rng,
-        difference, error, pose,
-    )  # fmt: skip
+    _simulate(
+        _EpisodeDraws(
+            first=first,
+            length=lengths,
+            shift=shapes.shift_m,
+            rate=shapes.rate_m_s,
+            constant=constant,
+            spread=spread,
+            time_s=time_s,
+            slope=slope,
+            pose_fault=np.zeros((n, 2)) + faults.pose_m,
+            height_fault=np.zeros(n) + faults.height_m,
+        ),
+        _ErrorProcesses(
+            map_memory=map_memory,
+            map_gain=map_gain,
+            map_start=map_start,
+            pose_sigma=scene.pose_sigma_m,
+            map_sigma=scene.map_sigma_m,
+            antenna_sigma=assumed.antenna_sigma_m,
+            pose_time_s=assumed.pose_time_s,
+            antenna_time_s=assumed.antenna_time_s,
+            step_s=1.0 / assumed.epochs_per_s,
+        ),
+        rng,
+        _EpochErrors(difference, error, pose),
+    )
     return Episodes(
         first=first, length=lengths, episode=np.repeat(np.arange(n), lengths),
         difference_m=difference, error_m=error, pose_error_m=pose, slope=slope,
     )  # fmt: skip
 
 
+class _EpisodeDraws(NamedTuple):
+    """What differs between episodes, columns (episodes, …), see `Episodes`."""
+
+    first: Integers
+    length: Integers
+    shift: Floats
+    rate: Floats
+    constant: Floats
+    spread: Floats
+    time_s: Floats
+    slope: Floats
+    pose_fault: Floats
+    height_fault: Floats
+
+
+class _ErrorProcesses(NamedTuple):
+    """Processes of the map's error, and σ and correlation times of pose and antenna height."""
+
+    map_memory: Floats
+    map_gain: Floats
+    map_start: Floats
+    pose_sigma: float
+    map_sigma: float
+    antenna_sigma: float
+    pose_time_s: float
+    antenna_time_s: float
+    step_s: float
+
+
+class _EpochErrors(NamedTuple):
+    """Errors of each epoch, to be filled."""
+
+    difference: Floats
+    error: Floats
+    pose_error: Floats
+
+
 @compiled
-def _run(
-    first: Integers, length: Integers, shift: Floats, rate: Floats, constant: Floats, spread: Floats,
-    time_s: Floats, slope: Floats, map_memory: Floats, map_gain: Floats, map_start: Floats,
-    pose_fault: Floats, height_fault: Floats,
-    pose_sigma: float, map_sigma: float, antenna_sigma: float,
-    pose_time_s: float, antenna_time_s: float, step_s: float, rng: np.random.Generator,
-    difference: Floats, error: Floats, pose_error: Floats,
-) -> None:  # fmt: skip
+def _simulate(
+    draws: _EpisodeDraws, model: _ErrorProcesses, rng: np.random.Generator, out: _EpochErrors
+) -> None:
+    first, length, shift, rate, constant = draws.first, draws.length, draws.shift, draws.rate, draws.constant
+    spread, time_s, slope = draws.spread, draws.time_s, draws.slope
+    pose_fault, height_fault = draws.pose_fault, draws.height_fault
+    map_memory, map_gain, map_start = model.map_memory, model.map_gain, model.map_start
+    pose_sigma, map_sigma, antenna_sigma = model.pose_sigma, model.map_sigma, model.antenna_sigma
+    pose_time_s, antenna_time_s, step_s = model.pose_time_s, model.antenna_time_s, model.step_s
+    difference, error, pose_error = out.difference, out.error, out.pose_error
     memory_pose, memory_antenna = np.exp(-step_s / pose_time_s), np.exp(-step_s / antenna_time_s)
     gain_pose, gain_antenna = np.sqrt(1.0 - memory_pose**2), np.sqrt(1.0 - memory_antenna**2)
     half = antenna_sigma * np.sqrt(0.5)

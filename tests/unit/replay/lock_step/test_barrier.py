@@ -23,7 +23,7 @@ ORDER = {channel.name: position for position, channel in enumerate(CHANNELS)}
 
 
 def barrier_of(service: str) -> Barrier:
-    return Barrier(service, inputs_of(service))
+    return Barrier(service=service, inputs=inputs_of(service))
 
 
 @pytest.fixture

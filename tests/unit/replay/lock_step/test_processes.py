@@ -34,14 +34,14 @@ def is_running(pid: int) -> bool:
 
 @pytest.fixture
 def processes(tmp_path):
-    one = Processes(tmp_path, {"map_update": config(tmp_path)})
+    one = Processes(folder=tmp_path, configs={"map_update": config(tmp_path)})
     yield one
     one.stop()
 
 
 def test_settings_are_written_as_they_were_given(tmp_path):
     given = config(tmp_path, text='a "quoted" \\ word', number=0.25, flag=True, nested={"deep": {"x_m": 1}})
-    processes = Processes(tmp_path, {"map_update": given})
+    processes = Processes(folder=tmp_path, configs={"map_update": given})
     processes.start()
     processes.stop()
     read = tomllib.loads((tmp_path / "config" / "map_update.toml").read_text())
@@ -74,7 +74,7 @@ def test_one_that_runs_is_left_alone(tmp_path, processes):
 
 
 def test_a_service_with_wrong_settings_says_so_and_is_not_tried_again(tmp_path):
-    processes = Processes(tmp_path, {"map_update": config(tmp_path, colour="red")})
+    processes = Processes(folder=tmp_path, configs={"map_update": config(tmp_path, colour="red")})
     processes.start()
     log = tmp_path / "logs" / "map_update.log"
     wait_for(lambda: log.read_text().endswith("\n"))
