@@ -123,7 +123,7 @@ class MotionStep(NamedTuple):
 
 class InertialReading(NamedTuple):
     """What an inertial unit adds to a motion sample: mean forward acceleration since the last one, without gravity,
-    and the body's roll and pitch.
+    and the body's roll and pitch. The yaw rate of such a sample is the mean since the last one, too.
 
     `leveled_m_s2`: by how much that acceleration is less because the tilt was levelled since the last sample, which is
     no acceleration. `is_quiet`: neither force nor rate has changed for a while.
@@ -219,7 +219,11 @@ class WheelOdometry:
             dt_s=dt,
             standing=was_standing and self.standing,
             speed_m_s=speed,
-            yaw_rate_rad_s=_mean(last.yaw_rate_rad_s, sample.yaw_rate_rad_s),
+            yaw_rate_rad_s=(
+                _mean(last.yaw_rate_rad_s, sample.yaw_rate_rad_s)
+                if inertial is None
+                else sample.yaw_rate_rad_s
+            ),
             steering_rad=_mean(last.steering_angle_rad, sample.steering_angle_rad),
             speed_sigma_m_s=self._speed_sigma(sample),
             along_var_m2=along_var,
@@ -244,7 +248,7 @@ class WheelOdometry:
             dt_s=dt,
             standing=was_standing and self.standing,
             speed_m_s=speed,
-            yaw_rate_rad_s=_mean(interval.last.yaw_rate_rad_s, sample.yaw_rate_rad_s),
+            yaw_rate_rad_s=sample.yaw_rate_rad_s,
             steering_rad=_mean(interval.last.steering_angle_rad, sample.steering_angle_rad),
             unknown_rate_var_rad2=self._unknown_rate_variance(interval, speed),
             wheel_m_s=after,

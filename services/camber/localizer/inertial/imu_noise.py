@@ -74,8 +74,7 @@ IMU_NOISE: Final[dict[ImuClass, ImuNoise]] = {
     # STIM300: 0.15 °/√h, 0.5 °/h in-run, ± 250 °/h at switching on, 500 ppm; 0.06 m/s/√h, 2 mg over temperature.
     "tactical": ImuNoise(
         angle_random_walk_rad_sqrt_s=math.radians(0.15) / 60.0,
-        gyro_bias_sigma_rad_s=math.hypot(5.0, 10.0)
-        * _DEG_PER_HOUR,  # 10 °/h: the Earth's rotation at 42° of latitude
+        gyro_bias_sigma_rad_s=250.0 / 3.0 * _DEG_PER_HOUR,  # ± 250 °/h as three sigma
         gyro_instability_rad_s=0.5 * _DEG_PER_HOUR,
         gyro_scale_sigma=0.0005,
         velocity_random_walk_m_s_sqrt_s=0.06 / 60.0,
