@@ -43,8 +43,9 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
     ("gnss/service.py", "refusal"): typing.get_args(Refusal),
     ("integrity/service.py", "ISSUE_CODES[named.reported]"): tuple(ISSUE_CODES.values()),
     ("integrity/service.py", "code"): _OF_QUEUES,
-    ("localizer/localization.py", "f'imu_{outcome}'"): ("imu_repeated", "imu_backwards"),
+    ("localizer/localization.py", "f'imu_{order}'"): ("imu_repeated", "imu_backwards"),
     ("localizer/localization.py", "f'motion_{outcome}'"): ("motion_repeated", "motion_backwards"),
+    ("localizer/localization.py", "f'motion_{order}'"): ("motion_repeated", "motion_backwards"),
     ("localizer/matching/scan_matcher.py", "f'sweep_{sweep.problem}'"): tuple(
         f"sweep_{word}" for word in typing.get_args(SweepProblem)
     ),

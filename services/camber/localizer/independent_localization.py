@@ -20,6 +20,7 @@ from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.scan_match_update import MatchUpdate
 from camber.localizer.filter.start_from_fixes import StartPose
 from camber.localizer.filter.track import OverlayLag
+from camber.localizer.inertial.strapdown import ForwardSpeed
 from camber.localizer.links.link_cache import LinkCache
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
@@ -40,6 +41,7 @@ _LEVEL_SIGMA: Final = (
     0.05  # chosen: σ of a road's slope where no match shows roll and pitch; few roads exceed 10 %
 )
 
+_SPEED_SIGMA_M_S: Final = 0.1  # chosen: it is a filtered one, and its errors last
 _LINKS_EVERY_M: Final = (
     2.5  # chosen: half of `PoseModel.couple_every_m`; matching costs as much as the filter
 )
@@ -79,6 +81,13 @@ class IndependentLocalization:
         """Whether its track may deskew sweeps: it is followed, and its speed is not a vague integral."""
         pose_filter = self.position.filter
         return self.active and (not pose_filter.speed_is_integrated or pose_filter.measures_distance)
+
+    def speed(self) -> ForwardSpeed | None:
+        """Return the speed where matches hold it, for levelling an inertial unit."""
+        estimate = self.position.estimate() if self.knows_motion else None
+        if estimate is None or estimate.speed_m_s is None:
+            return None
+        return ForwardSpeed(estimate.speed_m_s, max(_SPEED_SIGMA_M_S, self.position.filter.speed_sigma_m_s))
 
     def predict(self, motion: Motion, inertial: InertialReading | None = None) -> None:
         """Propagate the position."""

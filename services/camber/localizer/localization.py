@@ -124,6 +124,10 @@ class Localization:
         """
         if self._inertial is None:
             return self._predict(InertialSample(motion, None))
+        order = self._inertial.outcome(motion)
+        if order != "newer":
+            self._diagnostics.issue(f"motion_{order}", f"sample at {motion.time_ns} ns")
+            return False
         alone = self._inertial.on_vehicle(motion)
         return alone is not None and self._predict(InertialSample(alone, None))
 
@@ -131,11 +135,17 @@ class Localization:
         """Propagate the pose by an inertial unit; return whether this sample started the given pose."""
         if self._inertial is None:
             return False
-        outcome = self._inertial.outcome(imu)
-        if outcome != "applied":
-            self._diagnostics.issue(f"imu_{outcome}", f"sample at {imu.time_ns} ns")
+        order = self._inertial.outcome(imu)
+        if order != "newer":
+            self._diagnostics.issue(f"imu_{order}", f"sample at {imu.time_ns} ns")
             return False
-        sample = self._inertial.on_imu(imu, self._filter.estimate)
+        was_upright, independent = self._inertial.is_upright, self.independent
+        source = independent.position.filter if independent.active else self._filter
+        sample = self._inertial.on_imu(imu, independent.speed, wheels_slip=source.wheel_slip_suspected)
+        if was_upright and not self._inertial.is_upright:
+            self._diagnostics.issue(
+                "imu_mounting", f"z of the force is {imu.specific_force_m_s2[2]:.2f} m/s²"
+            )
         return sample is not None and self._predict(sample)
 
     def _predict(self, sample: InertialSample) -> bool:
@@ -159,7 +169,7 @@ class Localization:
         if fix.quality != "fixed":
             return
         self._use_height(fix)
-        if not self._filter.accepts_fixes:
+        if not self._filter.accepts_fixes or self._filter.speed_is_unknown:
             self._start.reset()
             return
         placed = self._in_plane(fix)

@@ -20,7 +20,7 @@ from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.speed_error import SpeedError
 from camber.localizer.filter.track import TrackPoint
 
-AnchorOutcome: TypeAlias = Literal["accepted", "recovered", "outside_gate", "too_old", "ahead"]
+AnchorOutcome: TypeAlias = Literal["accepted", "recovered", "outside_gate", "too_old", "ahead", "no_speed"]
 
 _LATE_PER_M: Final = 0.005  # error of the path since a late anchor: the σ of the wheel scale, `MotionModel`
 _RECOVERY_YAW_VAR_RAD2: Final = 0.01  # chosen: 6°, added when a pose is given up for another

@@ -126,14 +126,14 @@ class InertialReading(NamedTuple):
     and the body's roll and pitch. The yaw rate of such a sample is the mean since the last one, too.
 
     `leveled_m_s2`: by how much that acceleration is less because the tilt was levelled since the last sample, which is
-    no acceleration. `is_quiet`: neither force nor rate has changed for a while.
+    no acceleration. `quiet_s`: how long neither force nor rate has changed.
     """
 
     acceleration_m_s2: float
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     leveled_m_s2: float = 0.0
-    is_quiet: bool = False
+    quiet_s: float = 0.0
 
 
 class YawRate(NamedTuple):
@@ -161,7 +161,7 @@ class WheelOdometry:
     def __init__(self, model: MotionModel) -> None:
         self._model = model
         self._last: Motion | None = None
-        self._wheels_seen = False
+        self._integrates = False  # the last speed was integrated
         self._held_speed_m_s: float | None = None
         self._speed_missing_s = 0.0
         self._rate_missing_s = 0.0
@@ -169,11 +169,6 @@ class WheelOdometry:
         self.standing = False
         self._direction = 1.0
         self._in_dead_zone = False  # the wheels have read exactly zero during this stop
-
-    @property
-    def has_speed(self) -> bool:
-        """Whether the wheels have ever given a speed."""
-        return self._wheels_seen
 
     @property
     def time_ns(self) -> int | None:
@@ -191,10 +186,9 @@ class WheelOdometry:
         """Return the motion since the last sample. The bias is used for standstill detection only.
 
         Where the wheels give no speed, the accelerometer of `inertial` carries the last one on; `may_stand`: by that
-        speed the vehicle may stand, so it does where the unit is quiet.
+        speed and by the unit's quiet the vehicle stands, unless it turns.
         """
         last = self._last
-        self._wheels_seen |= sample.wheel_speed_m_s is not None
         if last is None:
             self._last, self._held_speed_m_s = sample, sample.wheel_speed_m_s
             return MotionStep("first")
@@ -203,7 +197,9 @@ class WheelOdometry:
         model, dt = self._model, (sample.time_ns - last.time_ns) * 1e-9
         interval = _Interval(last, sample, dt, dt > model.max_step_s)
         if sample.wheel_speed_m_s is None and inertial is not None and not interval.is_gap:
-            return self._integrate(interval, inertial, standing=may_stand and inertial.is_quiet)
+            rate = sample.yaw_rate_rad_s
+            turns = rate is not None and abs(rate - yaw_rate_bias_rad_s) > model.standstill_rate_rad_s
+            return self._integrate(interval, inertial, standing=may_stand and not turns)
         was_standing, was_in_dead_zone = self.standing, self._in_dead_zone
         self.standing = self._detect_standstill(interval, yaw_rate_bias_rad_s)
         creeps = was_standing != self.standing and (was_in_dead_zone or self._in_dead_zone)
@@ -241,8 +237,9 @@ class WheelOdometry:
         after = before if standing else before + inertial.acceleration_m_s2 * dt
         was_standing, self.standing = self.standing, standing
         self._in_dead_zone, self._quiet_s, self._speed_missing_s = False, 0.0, 0.0
-        self._held_speed_m_s, self._last = after, sample
+        self._held_speed_m_s, self._last, self._integrates = after, sample, True
         speed = 0.5 * (before + after)
+        crawls = was_standing and standing
         return MotionStep(
             outcome="applied",
             dt_s=dt,
@@ -250,6 +247,7 @@ class WheelOdometry:
             speed_m_s=speed,
             yaw_rate_rad_s=sample.yaw_rate_rad_s,
             steering_rad=_mean(interval.last.steering_angle_rad, sample.steering_angle_rad),
+            along_var_m2=self._model.crawl_m_sqrt_s**2 * dt if crawls else 0.0,
             unknown_rate_var_rad2=self._unknown_rate_variance(interval, speed),
             wheel_m_s=after,
             is_integrated=True,
@@ -272,6 +270,11 @@ class WheelOdometry:
         if now_m_s is not None:
             self._held_speed_m_s = now_m_s
         after = self._held_speed_m_s or 0.0
+        if now_m_s is not None and self._integrates:
+            self._integrates, before = (
+                False,
+                after,
+            )  # an integrated speed and the wheels' differ by no acceleration
         return after if before is None else before, after
 
     def _along_variance(self, interval: _Interval, was_standing: bool) -> float:

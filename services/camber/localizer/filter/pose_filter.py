@@ -62,6 +62,7 @@ from camber.schemas.motion import Motion
 _NO_LAG = OverlayLag()
 _OVERLAY_S = 1.0  # sweeps that are overlaid in a match are no older
 _KNOWN_SPEED_SIGMA_M_S = 0.2  # chosen: a fifth of a metre over the second in which the judge carries a pose
+_SHAPELESS_SIGMA_M_S = 1.0  # chosen: a track whose speed is off by half would fit positions in reverse
 _RECOVERY_SHARE = 0.01  # chosen: (a tenth)² of the offset from a pose that was given up adds to the variance
 
 
@@ -122,6 +123,16 @@ class PoseFilter:
     def speed_is_integrated(self) -> bool:
         """Whether an accelerometer carries the speed on, as the wheels give none."""
         return self._speed_error.is_integrated
+
+    @property
+    def speed_is_unknown(self) -> bool:
+        """Whether the track has no shape to compare with positions: its speed is a vague integral."""
+        return self._speed_error.is_integrated and self._inertial_speed.sigma_m_s > _SHAPELESS_SIGMA_M_S
+
+    @property
+    def speed_sigma_m_s(self) -> float:
+        """σ of an integrated speed."""
+        return self._inertial_speed.sigma_m_s
 
     @property
     def measures_distance(self) -> bool:
@@ -202,16 +213,20 @@ class PoseFilter:
     def predict(self, sample: Motion, inertial: InertialReading | None = None) -> SampleOutcome:
         """Propagate the pose to this sample, with what an inertial unit has measured; return whether it was used."""
         model, state = self.model.motion, self.state
-        may_stand = self._speed_error.is_integrated and self._inertial_speed.may_stand
+        may_stand = (
+            inertial is not None
+            and self._speed_error.is_integrated
+            and self._inertial_speed.may_stand(inertial.quiet_s)
+        )
         step = self._odometer.advance(sample, float(state.x[self._gyro]), inertial, may_stand=may_stand)
         if step.outcome in ("repeated", "backwards"):
             return step.outcome
-        self._last_sample = sample
+        before, self._last_sample = self._last_sample, sample
         if step.dt_s > model.max_bridge_s:
             self._lose_pose()
         bias, scale, gain = float(state.x[BIAS_A]), float(state.x[SCALE]), float(state.x[TURN_GAIN])
         turn = yaw_rate(step, model.a_rate_sensor, model, bias=bias, scale=scale, gain=gain)
-        self._begin_speed(sample, step, inertial)
+        self._begin_speed(before, step, inertial)
         slip_change = self._wheel_slip.before_step(sample.time_ns, sample.wheel_speed_m_s, step)
         if self._wheel_slip.active:
             step = step._replace(standing=False, wheel_change_m_s=0.0)
@@ -245,21 +260,35 @@ class PoseFilter:
         self._odometry.advance(sample.time_ns, step)
         return step.outcome
 
-    def _begin_speed(self, sample: Motion, step: MotionStep, inertial: InertialReading | None) -> None:
-        """Begin or end to integrate the speed, where the wheels have ceased or begun to give it.
+    def _begin_speed(self, before: Motion | None, step: MotionStep, inertial: InertialReading | None) -> None:
+        """Begin or end to integrate the speed, where the wheels have ceased or begun to give it; `before` is the sample
+        before this one.
 
-        A unit that is quiet when it is switched on stands.
+        While wheels and unit are both silent the last speed is held, with its error.
         """
-        error, is_gap = self._speed_error, step.outcome == "gap"
+        sample, error, last = self._last_sample, self._speed_error, self._last_step
+        assert sample is not None
         error.now_ns = sample.time_ns
-        if sample.wheel_speed_m_s is not None or inertial is None:
+        if sample.wheel_speed_m_s is not None:
             if error.is_integrated:
                 self._inertial_speed.end()
-        elif is_gap or (step.is_integrated and not error.is_integrated):
+            return
+        if inertial is None:
+            return
+        begin_ns = sample.time_ns - round(step.dt_s * 1e9)
+        goes_on = error.is_integrated and last is not None and last.is_integrated
+        if step.outcome == "gap":
             self._wheel_slip.forget()
-            begin_ns = sample.time_ns - round(step.dt_s * 1e9)
-            known = not is_gap and (self._odometer.has_speed or inertial.is_quiet)
-            self._inertial_speed.begin(begin_ns, speed_known=known)
+            self._inertial_speed.begin_unknown(begin_ns)
+        elif not step.is_integrated or goes_on:
+            return
+        elif before is not None and before.wheel_speed_m_s is not None:
+            self._inertial_speed.begin_from_wheels(begin_ns, before.wheel_speed_m_s)
+            self._wheel_slip.active = False
+        elif inertial.quiet_s > 0.0:
+            self._inertial_speed.begin_at_rest(begin_ns)
+        else:
+            self._inertial_speed.begin_unknown(begin_ns)
 
     def _knows_speed(self, sample: Motion) -> bool:
         """Whether the speed is known: by the wheels, or by fresh matches that an accelerometer carries on."""
@@ -322,6 +351,8 @@ class PoseFilter:
         variance = largest_variance(noise) + self.model.anchor_common_sigma_m**2
         position = TrackedPosition(east_m, north_m, variance, then)
         if self._provenance == "none" or not self._initialization.heading_known:
+            if self.speed_is_unknown:
+                return AnchorResult("no_speed")
             self._initialization.add_position(position, here)
             result = AnchorResult("accepted")
         else:

@@ -170,7 +170,7 @@ class ScanMatches:
         h[0, MATCH_EAST] = h[1, MATCH_NORTH] = h[2, MATCH_YAW] = 1.0
         h[0, YAW], h[1, YAW] = since[1], -since[0]
         if self._error.is_estimated:
-            h = self._with_speed_error(h, match)
+            h = self._with_speed_error(h, self._error.duration_s(_sweeps_ns(match)))
         yaw = wrap_pi(match.yaw_rad - float(x[YAW]) + turned - float(x[MATCH_YAW]))
         east = match.east_m - float(x[EAST]) + since[0] - float(x[MATCH_EAST])
         north = match.north_m - float(x[NORTH]) + since[1] - float(x[MATCH_NORTH])
@@ -208,15 +208,16 @@ class ScanMatches:
         if since_ns is None:
             return False
         covariance = self._wheel_slip.covariance_if_slipping(since_ns)
-        h = self._with_speed_error(observation.h, match)
+        late_s = (self._error.now_ns - max(match.time_ns, since_ns)) * 1e-9
+        h = self._with_speed_error(observation.h, late_s)
         if observation._replace(h=h).nis(covariance) > self._model.slip_gate:
             return False
         self._wheel_slip.begin(since_ns, covariance)
         return True
 
-    def _with_speed_error(self, h: Floats, match: MatchedPose) -> Floats:
-        """Return rows (3, n) in which the displacement since the match depends on the error of the speed."""
-        h, late_s = h.copy(), self._error.duration_s(_sweeps_ns(match))
+    def _with_speed_error(self, h: Floats, late_s: float) -> Floats:
+        """Return rows (3, n) in which the displacement of `late_s` depends on the error of the speed."""
+        h = h.copy()
         yaw = float(self._state.x[YAW])
         h[0, SPEED_ERROR], h[1, SPEED_ERROR] = -late_s * math.cos(yaw), -late_s * math.sin(yaw)
         return h
@@ -239,7 +240,7 @@ class ScanMatches:
 
     def _independent_share(self, match: MatchedPose) -> float:
         """Return the share of a match, in ]0, 1], that is independent of the one before."""
-        if self._last is None or self._error.is_estimated:  # then no other source observes the distance
+        if self._last is None or self._wheel_slip.active:  # with slip no other source observes the distance
             return 1.0
         distance = abs(match.track.path_m - self._last.track.path_m) / self._model.match_renewed_m
         time = (match.time_ns - self._last.time_ns) * 1e-9 / self._model.match_renewed_s

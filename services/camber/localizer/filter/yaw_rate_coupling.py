@@ -41,7 +41,7 @@ class YawRateCoupling:
         if step.standing:
             return
         turn = yaw_rate(step, motion.b_rate_sensor, motion, bias=self._bias, scale=self._scale)
-        if turn is None or step.outcome == "gap" or not heading_known:
+        if turn is None or step.outcome == "gap" or step.is_integrated or not heading_known:
             self._s = -1.0
             return
         if self._s < 0.0:

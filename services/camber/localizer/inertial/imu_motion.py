@@ -13,27 +13,23 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from camber.localizer.filter.odometry import InertialReading
-from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.filter.pose_model import AccelerationModel, PoseModel
 from camber.localizer.inertial.imu_noise import IMU_NOISE, ImuNoise
 from camber.localizer.inertial.strapdown import ForwardSpeed, StrapdownIntegration
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.schemas.motion import Imu, Motion
 
-ImuOutcome: TypeAlias = Literal["applied", "repeated", "backwards"]
+SampleOrder: TypeAlias = Literal["newer", "repeated", "backwards"]
 
-_FRESH_NS: Final = (
-    100_000_000  # chosen: two samples of a wheel bus; later the accelerometer knows the speed better
+_FRESH_NS: Final = 250_000_000  # chosen: two samples of a bus of 10 Hz, and its latency
+_SILENT_NS: Final = (
+    300_000_000  # chosen: less than a gap of `MotionModel.max_step_s`, so that the wheels go on
 )
-_SILENT_NS: Final = 500_000_000  # as `MotionModel.max_step_s`
 _SURE_TILT_RAD: Final = math.radians(0.5)  # chosen: beyond it overlaid sweeps are better aligned by the road
 _VIBRATION_M_S_SQRT_S: Final = (
     0.02  # chosen: what the road shakes, and what scale and misalignment make of it
 )
 _WHEEL_SIGMA_M_S: Final = 0.05  # as `MotionModel.speed_noise_m_s`
-_POSE_SIGMA_M_S: Final = (
-    0.1  # chosen: while matches hold it; the pose states none that is less certain than 0.2
-)
 _LEVELLING_M_S2: Final = 0.5  # chosen: 3° of tilt by a force that was levelled without any speed
 
 
@@ -67,29 +63,44 @@ class ImuMotion:
     def __init__(self, options: ImuOptions) -> None:
         self._strapdown = StrapdownIntegration(options.noise, options.mount)
         self._vehicle: Motion | None = None  # the newest sample of the vehicle's own sensors
+        self._step_ns: int | None = None  # time of the last sample that was made
 
-    def outcome(self, imu: Imu) -> ImuOutcome:
-        """Whether a sample is newer than the last one."""
-        last_ns = self._strapdown.time_ns
-        if last_ns is None or imu.time_ns > last_ns:
-            return "applied"
-        return "repeated" if imu.time_ns == last_ns else "backwards"
+    @property
+    def is_upright(self) -> bool:
+        """Whether gravity points where the unit's mounting says."""
+        return self._strapdown.is_upright
+
+    def outcome(self, sample: Imu | Motion) -> SampleOrder:
+        """Whether a sample is newer than the last one of its kind."""
+        if isinstance(sample, Imu):
+            last_ns = self._strapdown.time_ns
+        else:
+            last_ns = None if self._vehicle is None else self._vehicle.time_ns
+        if last_ns is None or sample.time_ns > last_ns:
+            return "newer"
+        return "repeated" if sample.time_ns == last_ns else "backwards"
 
     def on_vehicle(self, motion: Motion) -> Motion | None:
         """Take a sample of the vehicle's own sensors; return it without its yaw rate where the unit is silent."""
-        last_ns = self._strapdown.time_ns
-        if self._vehicle is None or motion.time_ns > self._vehicle.time_ns:
-            self._vehicle = motion
-        if last_ns is not None and motion.time_ns - last_ns <= _SILENT_NS:
+        self._vehicle = motion
+        if self._step_ns is not None and motion.time_ns - self._step_ns <= _SILENT_NS:
             return None
         return motion.model_copy(update={"yaw_rate_rad_s": None})
 
-    def on_imu(self, imu: Imu, estimate: Callable[[], PoseEstimate | None]) -> InertialSample | None:
-        """Take a sample of the unit; return one of the motion where due. `estimate` gives the pose, for its speed."""
+    def on_imu(
+        self, imu: Imu, speed: Callable[[], ForwardSpeed | None], *, wheels_slip: bool = False
+    ) -> InertialSample | None:
+        """Take a sample of the unit; return one of the motion where due.
+
+        The tilt is levelled by the wheels' speed, unless they slip, else by `speed`, which no fix may have a part in.
+        """
         vehicle = self._fresh(imu.time_ns)
-        step = self._strapdown.add(imu, lambda: _speed(vehicle, estimate))
+        wheel_m_s = None if vehicle is None or wheels_slip else vehicle.wheel_speed_m_s
+        by_wheels = None if wheel_m_s is None else ForwardSpeed(wheel_m_s, _WHEEL_SIGMA_M_S)
+        step = self._strapdown.add(imu, lambda: speed() if by_wheels is None else by_wheels)
         if step is None:
             return None
+        self._step_ns = step.time_ns
         has_tilt = vehicle is not None and vehicle.roll_rad is not None and vehicle.pitch_rad is not None
         tilt: tuple[float | None, float | None] = (None, None)
         if has_tilt and vehicle is not None:
@@ -114,13 +125,3 @@ class ImuMotion:
 def with_imu(model: PoseModel, options: ImuOptions) -> PoseModel:
     """Return the parameters of a pose filter that this unit drives."""
     return replace(model, motion=options.noise.motion_model(model.motion), acceleration=options.acceleration)
-
-
-def _speed(vehicle: Motion | None, estimate: Callable[[], PoseEstimate | None]) -> ForwardSpeed | None:
-    """Return the speed by the wheels, else that of the pose, which matches hold."""
-    if vehicle is not None and vehicle.wheel_speed_m_s is not None:
-        return ForwardSpeed(vehicle.wheel_speed_m_s, _WHEEL_SIGMA_M_S)
-    pose = estimate()
-    if pose is None or pose.speed_m_s is None:
-        return None
-    return ForwardSpeed(pose.speed_m_s, _POSE_SIGMA_M_S)

@@ -12,15 +12,20 @@ from typing import Final
 
 import numpy as np
 
-from camber.localizer.filter.dead_reckoning_time_update import ACCELERATION_ERROR, SPEED_ERROR
+from camber.localizer.filter.dead_reckoning_time_update import ACCELERATION_ERROR, SCALE, SPEED_ERROR
 from camber.localizer.filter.filter_state import FilterState
 from camber.localizer.filter.odometry import InertialReading, MotionModel, MotionStep
 from camber.localizer.filter.pose_model import AccelerationModel
 from camber.localizer.filter.speed_error import SpeedError
 
-_STANDING_SIGMA_M_S: Final = 0.02  # chosen: a body rocks on its springs
+_STANDING_SIGMA_M_S: Final = 0.02  # chosen: a body rocks on its springs, for a second or so
+_STANDING_NOISE_S: Final = 1.0  # chosen: after which the rocking is another one
 _MAY_STAND_SIGMA_M_S: Final = 0.5  # chosen: with a less certain speed a smooth road looks like a standstill
-_MAY_STAND_SIGMAS: Final = 3.0  # chosen: of a normal error 99.7 %
+_MAY_STAND_M_S: Final = 0.3  # chosen: no unit shows a slower vehicle
+_STANDS_AFTER_S: Final = 2.0  # chosen: of quiet, at a speed that may be zero
+_STANDS_ANYHOW_AFTER_S: Final = 5.0  # chosen: no road is so smooth for so long
+_WHEEL_AGE_S: Final = 0.25  # the oldest wheel speed that a sample of the unit is given (`imu_motion`)
+_AT_REST_M_S2: Final = 0.1  # chosen: what is left of a bias that was levelled at rest
 
 
 class InertialSpeed:
@@ -37,13 +42,35 @@ class InertialSpeed:
         """σ of the speed."""
         return math.sqrt(max(0.0, float(self._state.p[SPEED_ERROR, SPEED_ERROR])))
 
-    def begin(self, since_ns: int, *, speed_known: bool) -> None:
-        """Begin to integrate: from the wheels' last speed, or from an unknown one."""
-        motion = self._motion
+    def begin_unknown(self, since_ns: int) -> None:
+        """Begin to integrate from an unknown speed."""
+        self._begin(since_ns, error_m_s=0.0, sigma_m_s=self._motion.unknown_speed_m_s)
+
+    def begin_at_rest(self, since_ns: int) -> None:
+        """Begin to integrate where the unit is quiet and has just been levelled."""
+        self._begin(
+            since_ns, error_m_s=0.0, sigma_m_s=self._motion.speed_noise_m_s, by_level_m_s2=_AT_REST_M_S2
+        )
+
+    def begin_from_wheels(self, since_ns: int, wheel_m_s: float) -> None:
+        """Begin to integrate from the wheels' last speed, with what is known of their scale and of their slip."""
+        state, motion = self._state, self._motion
+        slip = float(state.x[SPEED_ERROR]) if self._error.is_estimated else 0.0
+        variance = float(state.p[SPEED_ERROR, SPEED_ERROR]) + float(state.p[SCALE, SCALE]) * wheel_m_s**2
+        late_m_s = motion.unknown_acceleration_m_s2 * _WHEEL_AGE_S
+        sigma = math.sqrt(variance + motion.speed_noise_m_s**2 + late_m_s**2)
+        self._begin(since_ns, error_m_s=float(state.x[SCALE]) * wheel_m_s + slip, sigma_m_s=sigma)
+
+    def _begin(
+        self, since_ns: int, *, error_m_s: float, sigma_m_s: float, by_level_m_s2: float | None = None
+    ) -> None:
+        state = self._state
         self._error.begin(since_ns, is_integrated=True)
-        sigma = motion.speed_noise_m_s if speed_known else motion.unknown_speed_m_s
-        self._state.set_independent(SPEED_ERROR, sigma**2)
-        self._state.set_independent(ACCELERATION_ERROR, self._acceleration.error_sigma_m_s2**2)
+        state.set_independent(SPEED_ERROR, sigma_m_s**2)
+        state.x[SPEED_ERROR] = error_m_s
+        sigma_m_s2 = self._acceleration.error_sigma_m_s2 if by_level_m_s2 is None else by_level_m_s2
+        state.set_independent(ACCELERATION_ERROR, sigma_m_s2**2)
+        state.x[ACCELERATION_ERROR] = 0.0
 
     def end(self) -> None:
         """The wheels give the speed again."""
@@ -51,13 +78,11 @@ class InertialSpeed:
         self._state.set_independent(ACCELERATION_ERROR, 0.0)
         self._state.x[ACCELERATION_ERROR] = 0.0
 
-    @property
-    def may_stand(self) -> bool:
-        """Whether the vehicle may stand by the integrated speed."""
-        sigma = self.sigma_m_s
+    def may_stand(self, quiet_s: float) -> bool:
+        """Whether the vehicle stands by the integrated speed and by how long the unit has been quiet."""
         speed = self._speed_m_s + float(self._state.x[SPEED_ERROR])
-        largest = _MAY_STAND_SIGMAS * sigma + self._motion.standstill_speed_m_s
-        return sigma < _MAY_STAND_SIGMA_M_S and abs(speed) < largest
+        is_slow = self.sigma_m_s < _MAY_STAND_SIGMA_M_S and abs(speed) < _MAY_STAND_M_S
+        return quiet_s >= (_STANDS_AFTER_S if is_slow else _STANDS_ANYHOW_AFTER_S)
 
     def after_step(self, step: MotionStep, inertial: InertialReading) -> None:
         """Advance both states by a step, after the pose was propagated; at a standstill speed and acceleration are
@@ -69,9 +94,9 @@ class InertialSpeed:
         self._speed_m_s = step.wheel_m_s
         state.x[ACCELERATION_ERROR] += inertial.leveled_m_s2
         if step.standing:
-            noise = model.noise_m_s_sqrt_s / math.sqrt(dt)
-            self._observe(SPEED_ERROR, -step.wheel_m_s, _STANDING_SIGMA_M_S)
-            self._observe(ACCELERATION_ERROR, -inertial.acceleration_m_s2, noise)
+            weight = math.sqrt(_STANDING_NOISE_S / dt)  # one independent observation a second
+            self._observe(SPEED_ERROR, -step.wheel_m_s, _STANDING_SIGMA_M_S * weight)
+            self._observe(ACCELERATION_ERROR, -inertial.acceleration_m_s2, _AT_REST_M_S2 * weight)
         else:
             state.x[SPEED_ERROR] += dt * state.x[ACCELERATION_ERROR]
             state.p[SPEED_ERROR] += dt * state.p[ACCELERATION_ERROR]

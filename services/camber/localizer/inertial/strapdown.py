@@ -9,33 +9,24 @@ constraint), which is why the forward acceleration alone is integrated by the po
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from camber.localizer.filter.odometry import InertialReading
 from camber.localizer.inertial.imu_noise import ImuNoise
-from camber.localizer.inertial.tilt_filter import LevelingForce, TiltFilter
+from camber.localizer.inertial.quiet_detection import QuietDetection
+from camber.localizer.inertial.tilt_filter import GRAVITY_M_S2, LevelingForce, TiltFilter
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.schemas.motion import Imu
 
 _STEP_NS: Final = 20_000_000  # chosen: as motion samples of a vehicle; a turn of 1 rad/s is 0.02 rad in it
-_GAP_NS: Final = 200_000_000  # chosen: tilt and speed change by less than 0.4° and 0.4 m/s in it
-_LEVEL_NS: Final = (
-    600_000_000  # as `_QUIET_STEPS`; a shorter time than a body swings on its springs is no use
-)
+_GAP_NS: Final = 500_000_000  # as `MotionModel.max_step_s`
+_LEVEL_NS: Final = 600_000_000  # chosen: a shorter time than a body swings on its springs is no use
 _UNKNOWN_ACCELERATION_M_S2: Final = 1.0  # chosen: of traffic, 1 σ
 _ACCELERATES_FOR_S: Final = 5.0  # chosen: correlation time of that
 _SIDE_FORCE_M_S2: Final = 0.1  # chosen: side slip and camber of the road, and a share of the turn
 _SIDE_FORCE_SHARE: Final = 0.05  # chosen: a wheelbase and a scale of the wheels that are off by so much
-_QUIET_STEPS: Final = 30  # 0.6 s, as `MotionModel.standstill_after_s`
-# Standing vehicles vibrate by their engine, moving ones by the road as well: chosen, of means over a step.
-_QUIET_FORCE_M_S2: Final = 0.05
-_QUIET_RATE_RAD_S: Final = math.radians(0.2)
-_NOISE_SIGMAS: Final = 2.0  # of a standard deviation of 30 values, about 13 % off: chosen
-
+_LEAST_UP: Final = 0.5  # chosen: share of gravity along z; less is another mounting, or another unit of force
 _Vector = tuple[float, float, float]
 
 
@@ -73,7 +64,10 @@ class StrapdownIntegration:
         self._leveled_m_s2 = 0.0  # by levelling since the last step
         self._step_rate: _Vector | None = None  # mean rate of the last step, for the angular acceleration
         self._angular_acceleration: _Vector = (0.0, 0.0, 0.0)
-        self._recent: deque[tuple[float, ...]] = deque(maxlen=_QUIET_STEPS)
+        self._quiet = QuietDetection(noise)
+        self._quiet_s = 0.0
+        self.is_upright = True
+        """Whether the force points up in the vehicle's axes, as the mounting says."""
 
     @property
     def time_ns(self) -> int | None:
@@ -97,19 +91,20 @@ class StrapdownIntegration:
             self._restart()
             return None
         dt_s = (sample.time_ns - last[0]) * 1e-9
-        mean_rate, mean_force = (
-            _mean(last[1], rate),
-            self._at_origin(_mean(last[1], rate), _mean(last[2], force)),
-        )
+        mean_rate, measured = _mean(last[1], rate), _mean(last[2], force)
+        mean_force = self._at_origin(mean_rate, measured)
         turned = self._tilt.rotate(mean_rate, dt_s)
         gravity_x = self._tilt.gravity_m_s2[0]
-        self._step.add(mean_rate, mean_force, turned_rad=turned, gravity_x_m_s2=gravity_x, dt_s=dt_s)
+        self._step.add(
+            mean_rate, measured, turned_rad=turned, change_m_s=(mean_force[0] - gravity_x) * dt_s, dt_s=dt_s
+        )
         self._leveling.add(mean_force, mean_rate[2], dt_s)
-        if self._leveling.duration_s * 1e9 >= _LEVEL_NS:
-            self._level(speed())
         if self._step.duration_s * 1e9 < 0.999 * _STEP_NS:
             return None
-        return self._finish_step(sample.time_ns)
+        step = self._finish_step(sample.time_ns)
+        if self._leveling.duration_s * 1e9 >= _LEVEL_NS:
+            self._level(speed())
+        return step
 
     def _finish_step(self, time_ns: int) -> InertialStep | None:
         step, self._step = self._step, _StepIntegrals()
@@ -121,8 +116,8 @@ class StrapdownIntegration:
             x, y, z = ((now - then) / duration for now, then in zip(rate, before, strict=True))
             self._angular_acceleration = (x, y, z)
         self._step_rate = rate
-        self._recent.append((*step.mean_force[:2], *rate))
-        if not self._tilt.is_level:
+        self._quiet_s = self._quiet.add(time_ns, step.mean_force, rate, step_s=duration)
+        if not self._tilt.is_level or not self.is_upright:
             return None
         return InertialStep(
             time_ns=time_ns,
@@ -132,7 +127,7 @@ class StrapdownIntegration:
                 roll_rad=self._tilt.roll_rad,
                 pitch_rad=self._tilt.pitch_rad,
                 leveled_m_s2=leveled,
-                is_quiet=self._is_quiet(),
+                quiet_s=self._quiet_s,
             ),
             tilt_sigma_rad=self._tilt.sigma_rad,
         )
@@ -140,7 +135,12 @@ class StrapdownIntegration:
     def _level(self, speed: ForwardSpeed | None) -> None:
         """Level by the mean force since the last time, and note what that changes of the forward acceleration."""
         was_level, gravity_x = self._tilt.is_level, self._tilt.gravity_m_s2[0]
-        self._tilt.level(*self._leveling_force(speed))
+        force, up_m_s2 = self._leveling_force(speed)
+        self.is_upright = up_m_s2 > _LEAST_UP * GRAVITY_M_S2
+        if not self.is_upright:
+            self._tilt.restart()
+            return
+        self._tilt.level(force, up_m_s2)
         if was_level:
             self._leveled_m_s2 += self._tilt.gravity_m_s2[0] - gravity_x
 
@@ -150,7 +150,7 @@ class StrapdownIntegration:
         t = sums.duration_s
         x, y, z = (value / t for value in sums.force)
         begin, self._leveling.begin = sums.begin, speed
-        if speed is None and not self._tilt.is_level and self._is_quiet():
+        if speed is None and not self._tilt.is_level and self._quiet_s > 0.0:
             speed = begin = _AT_REST
         # An unknown acceleration, correlated over τ: its mean over t weighs as much as t / (2 τ) independent ones.
         unknown = _UNKNOWN_ACCELERATION_M_S2 * math.sqrt(max(1.0, 2.0 * _ACCELERATES_FOR_S / t))
@@ -158,7 +158,10 @@ class StrapdownIntegration:
         if speed is not None:
             turn_rad_s = sums.turned_rad / t
             left = speed.speed_m_s * turn_rad_s
-            sigma_left = _SIDE_FORCE_M_S2 + _SIDE_FORCE_SHARE * abs(left) + speed.sigma_m_s * abs(turn_rad_s)
+            # The turn has the bias of the gyro in it.
+            unknown_turn_rad_s = abs(turn_rad_s) * _SIDE_FORCE_SHARE + self._noise.gyro_bias_sigma_rad_s
+            sigma_left = _SIDE_FORCE_M_S2 + abs(speed.speed_m_s) * unknown_turn_rad_s
+            sigma_left += speed.sigma_m_s * abs(turn_rad_s)
         if speed is not None and begin is not None:
             ahead = (speed.speed_m_s - begin.speed_m_s) / t
             sigma_ahead = math.sqrt(2.0) * speed.sigma_m_s / t
@@ -170,15 +173,6 @@ class StrapdownIntegration:
             duration_s=t,
         )
         return force, z
-
-    def _is_quiet(self) -> bool:
-        if len(self._recent) < _QUIET_STEPS:
-            return False
-        spread = np.std(np.array(self._recent), axis=0)
-        per_step = _NOISE_SIGMAS / math.sqrt(_STEP_NS * 1e-9)
-        force = _QUIET_FORCE_M_S2 + per_step * self._noise.velocity_random_walk_m_s_sqrt_s
-        rate = _QUIET_RATE_RAD_S + per_step * self._noise.angle_random_walk_rad_sqrt_s
-        return bool(max(spread[:2]) <= force and max(spread[2:]) <= rate)
 
     def _in_vehicle(self, vector: _Vector) -> _Vector:
         x, y, z = vector
@@ -201,11 +195,12 @@ class StrapdownIntegration:
         self._step, self._leveling, self._step_rate = _StepIntegrals(), _LevelingIntegrals(), None
         self._leveled_m_s2 = 0.0
         self._angular_acceleration = (0.0, 0.0, 0.0)
-        self._recent.clear()
+        self._quiet.forget()
+        self._quiet_s = 0.0
 
 
 class _StepIntegrals:
-    """Integrals over a step."""
+    """Integrals over a step, the force as measured."""
 
     def __init__(self) -> None:
         self.duration_s = self.turned_rad = self.speed_change_m_s = 0.0
@@ -213,11 +208,11 @@ class _StepIntegrals:
         self._force = [0.0, 0.0, 0.0]
 
     def add(
-        self, rate: _Vector, force: _Vector, *, turned_rad: float, gravity_x_m_s2: float, dt_s: float
+        self, rate: _Vector, force: _Vector, *, turned_rad: float, change_m_s: float, dt_s: float
     ) -> None:
         self.duration_s += dt_s
         self.turned_rad += turned_rad
-        self.speed_change_m_s += (force[0] - gravity_x_m_s2) * dt_s
+        self.speed_change_m_s += change_m_s
         for axis in range(3):
             self._rate[axis] += rate[axis] * dt_s
             self._force[axis] += force[axis] * dt_s

@@ -23,6 +23,8 @@ GRAVITY_M_S2: Final = 9.80665  # ISO 80000-3; true gravity differs by 0.3 %, whi
 _START_SIGMA_RAD: Final = 0.1  # chosen: a vehicle that brakes with 1 m/s² while the filter starts
 _GYRO_BIAS_X, _GYRO_BIAS_Y, _FORCE_BIAS_X, _FORCE_BIAS_Y = 2, 3, 4, 5
 _BIAS_TIME_S: Final = 3600.0  # chosen: an accelerometer's bias follows the temperature of the unit
+_GATE: Final = 18.42  # chi-square, 2 degrees of freedom, 99.99 %
+_DOUBTED_AFTER: Final = 10  # chosen: 6 s; no vehicle brakes or slips for so long
 _MAX_PITCH_RAD: Final = 1.2  # chosen: road vehicles do not climb 70°; there Euler angles fail
 
 
@@ -46,6 +48,7 @@ class TiltFilter:
         self._force_bias_m_s2: Floats = np.zeros(2)
         self._p: Floats = np.zeros((6, 6))
         self._turned_rad = self._turning_s = 0.0  # since the covariance was propagated
+        self._rejections = 0  # consecutive ones
         self.is_level = False
 
     @property
@@ -64,9 +67,12 @@ class TiltFilter:
         )
 
     def restart(self) -> None:
-        """Forget roll and pitch: the samples had a gap. Biases stay."""
-        self.is_level = False
+        """Doubt roll and pitch: the samples had a gap, or the force has contradicted them. Biases stay."""
+        if self.is_level:
+            self._p[:2] = self._p[:, :2] = 0.0
+            self._p[0, 0] = self._p[1, 1] = _START_SIGMA_RAD**2
         self._turned_rad = self._turning_s = 0.0
+        self._rejections = 0
 
     def rotate(self, rate_rad_s: tuple[float, float, float], dt_s: float) -> float:
         """Turn the body by its angular rate for a time; return the change of yaw [rad].
@@ -101,7 +107,10 @@ class TiltFilter:
         white = self._noise.velocity_random_walk_m_s_sqrt_s**2 / force.duration_s
         noise = np.diag((force.sigma_x_m_s2**2 + white, force.sigma_y_m_s2**2 + white))
         ph = self._p @ h.T
-        gain = ph @ np.linalg.inv(h @ ph + noise)
+        inverse = np.linalg.inv(h @ ph + noise)
+        if self._is_rejected(float(innovation @ inverse @ innovation)):
+            return
+        gain = ph @ inverse
         dx = (gain @ innovation).tolist()
         keep = np.eye(6) - gain @ h
         self._p = keep @ self._p @ keep.T + gain @ noise @ gain.T
@@ -110,6 +119,16 @@ class TiltFilter:
         self._bias_x_rad_s += dx[_GYRO_BIAS_X]
         self._bias_y_rad_s += dx[_GYRO_BIAS_Y]
         self._force_bias_m_s2 = self._force_bias_m_s2 + np.array(dx[_FORCE_BIAS_X:])
+
+    def _is_rejected(self, nis: float) -> bool:
+        """Whether a force is left out: wheels that slip or lock are no acceleration. Many in a row are right."""
+        if nis <= _GATE:
+            self._rejections = 0
+            return False
+        self._rejections += 1
+        if self._rejections >= _DOUBTED_AFTER:
+            self.restart()
+        return True
 
     def _start(self, force: LevelingForce, up_m_s2: float) -> None:
         up = max(up_m_s2, 0.5 * GRAVITY_M_S2)  # less is free fall
@@ -120,16 +139,16 @@ class TiltFilter:
         gyro = noise.gyro_bias_sigma_rad_s
         if self._p[_FORCE_BIAS_X, _FORCE_BIAS_X] == 0.0:
             self._p = np.diag((0.0, 0.0, gyro**2, gyro**2, bias**2, bias**2))
-        self._p[:2] = self._p[:, :2] = 0.0
-        for tilt, axis, sigma, sign in (
-            (0, _FORCE_BIAS_Y, force.sigma_y_m_s2, 1.0),
-            (1, _FORCE_BIAS_X, force.sigma_x_m_s2, -1.0),
-        ):
-            # The tilt was measured with the bias in it: what the bias is off by, the tilt is off by the other way.
-            variance = float(self._p[axis, axis])
-            by_force = min(sigma / GRAVITY_M_S2, _START_SIGMA_RAD)
-            self._p[tilt, tilt] = variance / GRAVITY_M_S2**2 + by_force**2
-            self._p[tilt, axis] = self._p[axis, tilt] = -sign * variance / GRAVITY_M_S2
+        # The tilt is measured with the bias in it: roll is off by −1 / g of the bias along y, pitch by 1 / g along x.
+        by_bias = np.zeros((2, 4))
+        by_bias[0, _FORCE_BIAS_Y - 2], by_bias[1, _FORCE_BIAS_X - 2] = -1.0 / GRAVITY_M_S2, 1.0 / GRAVITY_M_S2
+        by_force = [
+            min(sigma / GRAVITY_M_S2, _START_SIGMA_RAD) for sigma in (force.sigma_y_m_s2, force.sigma_x_m_s2)
+        ]
+        biases = self._p[2:, 2:]
+        self._p[:2, 2:] = by_bias @ biases
+        self._p[2:, :2] = self._p[:2, 2:].T
+        self._p[:2, :2] = by_bias @ biases @ by_bias.T + np.diag(np.square(by_force))
         self._turned_rad = self._turning_s = 0.0
         self.is_level = True
 

@@ -126,6 +126,7 @@ class ScanMatcher:
         self._last_sweep_ns: int | None = None
         self._consecutive_misplaced = 0
         self._last: MatchCandidate | None = None
+        self._overlaid_by: PoseFilter | None = None  # whose track places the overlaid sweeps
         self.reason = ""
 
     def add_sweep(self, sweep: Sweep) -> None:
@@ -228,10 +229,14 @@ class ScanMatcher:
         return sweep
 
     def _overlay(self, sweep: PreparedSweep) -> GroundPlane | None:
-        """Add a sweep to the local map; return its ground. Not accumulated while the speed is not known."""
+        """Add a sweep to the local map; return its ground.
+
+        Sweeps are not accumulated while the speed is not known, nor over a change of the track that places them.
+        """
         assert sweep.at is not None
-        if not self._motion.measures_distance:
+        if not self._motion.measures_distance or self._motion is not self._overlaid_by:
             self._local_map.reset()
+        self._overlaid_by = self._motion
         ground = ground_plane(sweep.points_m, self._options.mount)
         tilt = ground.tilt if ground is not None else LEVEL
         self._local_map.add(sweep, sweep.at, self._measured_tilt, road_tilt=tilt)

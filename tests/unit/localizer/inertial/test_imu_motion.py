@@ -87,7 +87,7 @@ def test_an_old_sample_is_named_by_its_kind() -> None:
     vehicle.run(1.0)
     assert vehicle.inertial.outcome(CIRCLE.imu(1.0)) == "repeated"
     assert vehicle.inertial.outcome(CIRCLE.imu(0.5)) == "backwards"
-    assert vehicle.inertial.outcome(CIRCLE.imu(1.01)) == "applied"
+    assert vehicle.inertial.outcome(CIRCLE.imu(1.01)) == "newer"
 
 
 @pytest.mark.parametrize("imu", ["phone", "mems", "tactical"])

@@ -10,6 +10,7 @@ import pytest
 from camber.localizer.inertial.imu_noise import IMU_NOISE
 from camber.localizer.inertial.strapdown import ForwardSpeed, InertialStep, StrapdownIntegration
 from camber.localizer.matching.sweep_preparation import SensorMount
+from camber.schemas.motion import Imu
 from support.imu_truth import BEGIN_NS, AnalyticMotion
 
 RATE_HZ = 200
@@ -57,10 +58,11 @@ def test_turns_speed_changes_and_tilt_are_those_of_the_motion() -> None:
     assert turned == pytest.approx(angles(end)[2] - angles(begin)[2], abs=math.radians(0.05))
     tilt = np.array([(step.reading.roll_rad, step.reading.pitch_rad) for step in result[500:]])
     true = np.array([angles(after_s(step))[:2] for step in result[500:]])
-    assert np.abs(tilt - true).max() < math.radians(0.3)
+    assert np.abs(tilt - true).max() < math.radians(0.5)
     late = [step for step in result if after_s(step) > 20.0]
     changed = sum(step.reading.acceleration_m_s2 for step in late) * 0.02
-    assert changed == pytest.approx(speed(end) - speed(20.0), abs=0.25)
+    # 0.1° of tilt for 40 s.
+    assert changed == pytest.approx(speed(end) - speed(20.0), abs=0.7)
 
 
 def test_the_lever_arm_is_not_taken_for_an_acceleration() -> None:
@@ -97,20 +99,59 @@ def test_a_unit_is_quiet_only_where_neither_force_nor_rate_changes() -> None:
         )
         step = integration.add(noisy, lambda: None)
         if step is not None:
-            quiet.append((t, step.reading.is_quiet))
+            quiet.append((t, step.reading.quiet_s > 0.0))
     assert all(value for t, value in quiet if 1.2 < t < 1.9)
     assert not any(value for t, value in quiet if t > 2.4)
 
 
-def test_a_gap_begins_anew_and_old_samples_change_nothing() -> None:
+def test_after_a_gap_the_tilt_is_doubted_and_old_samples_change_nothing() -> None:
     truth, integration = motion(), StrapdownIntegration(IMU_NOISE["mems"], MOUNT)
-    for k in range(RATE_HZ):
-        integration.add(truth.imu(k / RATE_HZ), lambda: ForwardSpeed(speed(0.0), 0.05))
+    before = [integration.add(truth.imu(k / RATE_HZ), lambda: ForwardSpeed(8.0, 0.05)) for k in range(400)]
     last_ns = integration.time_ns
     assert integration.add(truth.imu(0.5), lambda: None) is None
     assert integration.time_ns == last_ns
     after = [integration.add(truth.imu(10.0 + k / RATE_HZ), lambda: None) for k in range(40)]
-    assert after == [None] * 40  # not levelled again yet
+    known = [step for step in before if step is not None][-1]
+    doubted = next(step for step in after if step is not None)
+    assert doubted.tilt_sigma_rad > 5.0 * known.tilt_sigma_rad
+    assert doubted.time_ns - BEGIN_NS < 10.1e9
+
+
+def test_a_unit_that_does_not_change_at_all_is_broken_and_not_at_rest() -> None:
+    frozen = motion().imu(0.0)
+    integration = StrapdownIntegration(IMU_NOISE["mems"], SensorMount())
+    for k in range(600):
+        step = integration.add(frozen.model_copy(update={"time_ns": BEGIN_NS + k * 5_000_000}), lambda: None)
+        assert step is None or step.reading.quiet_s == 0.0
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, -9.8), (9.8, 0.0, 0.1), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
+def test_a_force_that_does_not_point_up_gives_no_motion(force: tuple[float, float, float]) -> None:
+    """Upside down, on its side, in units of g, or dead."""
+    integration = StrapdownIntegration(IMU_NOISE["mems"], SensorMount())
+    steps = []
+    for k in range(600):
+        sample = Imu(
+            time_ns=BEGIN_NS + k * 5_000_000, angular_rate_rad_s=(0.0, 0.0, 0.1), specific_force_m_s2=force
+        )
+        steps.append(integration.add(sample, lambda: ForwardSpeed(5.0, 0.05)))
+    assert steps == [None] * 600
+    assert not integration.is_upright
+
+
+def test_locked_wheels_do_not_tilt_the_vehicle() -> None:
+    """From 20 m/s to rest within 0.1 s by the wheels, while the body slides on at 7 m/s²."""
+    sliding = AnalyticMotion(
+        angles=lambda t: (0.0, 0.0, 0.0), speed=lambda t: 20.0 - 7.0 * max(0.0, t - 5.0) * (t < 7.0)
+    )
+    integration = StrapdownIntegration(IMU_NOISE["mems"], SensorMount())
+    pitch = []
+    for k in range(round(7.0 * RATE_HZ)):
+        t = k / RATE_HZ
+        step = integration.add(sliding.imu(t), lambda t=t: ForwardSpeed(20.0 if t < 5.0 else 0.0, 0.05))  # type: ignore[misc]
+        if step is not None:
+            pitch.append(step.reading.pitch_rad)
+    assert max(np.abs(pitch)) < math.radians(0.5)
 
 
 @pytest.mark.parametrize("imu", ["phone", "mems", "tactical"])
