@@ -37,15 +37,14 @@ def _kept(function: F, *, nogil: bool) -> F:
     if not _HAS_NUMBA:
         return cast(F, _interpreted(function))
     import numba
-    from numba.core.dispatcher import Dispatcher
 
-    from camber.compiled.disk_cache import MachineCodeCache
+    from camber.compiled.linked_functions import EntryDispatcher
 
-    dispatcher = numba.njit(fastmath=False, error_model="numpy", nogil=nogil)(function)
-    # With NUMBA_DISABLE_JIT it is the function itself.
-    if isinstance(dispatcher, Dispatcher):
-        cast(Any, dispatcher)._cache = MachineCodeCache(dispatcher)
-    return cast(F, dispatcher)
+    config: Any = numba.core.config
+    if config.DISABLE_JIT:
+        return function
+    options = {"fastmath": False, "error_model": "numpy", "nogil": nogil}
+    return cast(F, EntryDispatcher(function, options))
 
 
 def _interpreted(function: Callable[..., Any]) -> Callable[..., Any]:

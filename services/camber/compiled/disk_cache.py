@@ -22,6 +22,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaWarning
 
 from camber.compiled.cache_key import NotKnown, inputs_digest
+from camber.compiled.compilation_progress import watchers
 
 _DIGEST_BYTES = 32  # SHA-256
 _core: Any = numba.core  # only parts of numba are typed
@@ -39,6 +40,21 @@ class MachineCodeCache(NullCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for these argument types; None if there is none that is up to date."""
+        read = self._read_overload(sig, target_context)
+        for progress in watchers():
+            if read is None:
+                progress.on_missing()
+            else:
+                progress.on_read()
+        return read
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled, in the first folder that takes it."""
+        self._save_overload(sig, data)
+        for progress in watchers():
+            progress.on_compiled()
+
+    def _read_overload(self, sig: Any, target_context: Any) -> Any:
         target_context.refresh()
         named = self._named(sig, target_context.codegen())
         if named is None:
@@ -50,8 +66,7 @@ class MachineCodeCache(NullCache):
                 return _core.compiler.CompileResult._rebuild(target_context, *pickle.loads(content))
         return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, in the first folder that takes it."""
+    def _save_overload(self, sig: Any, data: Any) -> None:
         named = self._named(sig, data.codegen)
         if named is None:
             return

@@ -32,6 +32,11 @@ from camber.gnss.observations.satellite_states import (
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
 
+READER_FUNCTIONS, ENGINE_FUNCTIONS, SUBSET_FUNCTIONS = 10, 15, 2
+"""Compiled functions that Python calls: of `compile_readers`, of the engine, and for subsets in addition."""
+SERVICE_FUNCTIONS = 21
+"""Those of the service: the readers share some with the engine."""
+
 # A synthetic sky: 30 GPS satellites, two signals, all above 17°.
 _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5
@@ -44,8 +49,8 @@ _NO_PERTURBATION = (
 _BASE_ECEF_M = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
 
 
-def warm_up() -> Solution:
-    """Solve synthetic epochs through all stages; the solution of the last."""
+def warm_up(*, subsets: bool = True) -> Solution:
+    """Solve synthetic epochs through all stages; the solution of the last. `subsets`: re-estimate it, too."""
     settings = EngineSettings()
     rover = _BASE_ECEF_M + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(_BASE_ECEF_M)[:2])
     engine = Engine(settings, _BASE_ECEF_M)
@@ -56,7 +61,8 @@ def warm_up() -> Solution:
         time_ns = _TIME_NS + second * NS_PER_SECOND
         engine.add_base(_epoch(engine.ephemerides, _BASE_ECEF_M, time_ns))
         solution = engine.solve(_epoch(engine.ephemerides, rover, time_ns))
-    subset_candidates(solution, settings.fix_criteria(), "all", most_trials=4)
+    if subsets:
+        subset_candidates(solution, settings.fix_criteria(), "all", most_trials=4)
     return solution
 
 

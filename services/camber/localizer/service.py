@@ -10,7 +10,7 @@ from camber.localizer.given_pose import GivenPose
 from camber.localizer.localization import Localization
 from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.settings import LocalizerSettings
-from camber.localizer.warm_up import warm_up
+from camber.localizer.warm_up import FUNCTIONS, warm_up
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.health.memory_release import return_freed_memory
 from camber.runtime.service import Service
@@ -39,6 +39,11 @@ class LocalizerService(Service[LocalizerSettings]):
         """Compile the matching of sweeps."""
         if settings.match_sweeps:
             warm_up()
+
+    @classmethod
+    def compiled_functions(cls, settings: LocalizerSettings) -> int:
+        """Those of the warm-up."""
+        return FUNCTIONS if settings.match_sweeps else 0
 
     def __init__(self, settings: LocalizerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

@@ -32,6 +32,9 @@ from camber.schemas.road import (
     TileRequest,
 )
 
+FUNCTIONS = 23
+"""Compiled functions that the warm-up calls from Python."""
+
 # Chosen: any time, a tile at 35° of latitude, a sensor on a roof.
 _TIME_NS = 1_400_000_000 * 1_000_000_000
 _TILE = (57686, 25920)

@@ -106,7 +106,9 @@ def group_rows(rows: Integers) -> tuple[Integers, Integers]:
                 for g in range(count):
                     in_slot[_slot(distinct[g], in_slot, distinct)] = g
                 slot = _slot(rows[i], in_slot, distinct)
-            distinct[count], first[count], in_slot[slot] = rows[i], i, count
+            for j in range(k):
+                distinct[count, j] = rows[i, j]
+            first[count], in_slot[slot] = i, count
             count += 1
         group[i] = in_slot[slot]
     return group, first[:count].copy()

@@ -16,7 +16,7 @@ from camber.map_server.links import unknown_links
 from camber.map_server.release_download import FolderSupplier, ReleaseDownload, SupplierUnavailableError
 from camber.map_server.release_queries import ReleaseQueries, unknown_tile
 from camber.map_server.settings import MapServerSettings
-from camber.map_server.warm_up import warm_up
+from camber.map_server.warm_up import FUNCTIONS, warm_up
 from camber.road_map.release import BlobMissingError, Release, ReleaseError, load_public_key
 from camber.road_map.release_watch import ReleaseWatch
 from camber.road_map.store import MapStore
@@ -52,6 +52,11 @@ class MapServerService(Service[MapServerSettings]):
     def prepare(cls, settings: MapServerSettings) -> None:
         """Compile the road selection."""
         warm_up()
+
+    @classmethod
+    def compiled_functions(cls, settings: MapServerSettings) -> int:
+        """Those of the warm-up."""
+        return FUNCTIONS
 
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

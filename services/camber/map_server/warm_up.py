@@ -10,6 +10,9 @@ from camber.road_map.road_columns import flat_road
 from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.pose import Road
 
+FUNCTIONS = 8
+"""Compiled functions that the warm-up calls from Python."""
+
 _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
 
 

@@ -24,7 +24,7 @@ from camber.map_update.stores.shards import WORLD, Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import OvertakenError, Store, StoreError
 from camber.map_update.stores.upload_deduplication import Outcome
-from camber.map_update.warm_up import warm_up
+from camber.map_update.warm_up import FUNCTIONS, warm_up
 from camber.road_map.release import ReleaseError, load_signing_key, read_release
 from camber.road_map.release_server import ReleaseServer
 from camber.runtime.bus import Bus
@@ -72,6 +72,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
         """Compile the fusion before the service joins the bus."""
         if settings.reference is not None:
             warm_up()
+
+    @classmethod
+    def compiled_functions(cls, settings: MapUpdateSettings) -> int:
+        """Those of the warm-up."""
+        return FUNCTIONS if settings.reference is not None else 0
 
     def __init__(self, settings: MapUpdateSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

@@ -14,6 +14,9 @@ from camber.map_update.fusion.publication_decision import Decisions
 from camber.map_update.fusion.votes import merge_votes
 from camber.road_map.road_columns import flat_road
 
+FUNCTIONS = 15
+"""Compiled functions that the warm-up calls from Python."""
+
 # Any valid time and place.
 _TIME_NS = 1_400_000_000 * 10**9
 _LATITUDE_RAD = 0.6

@@ -11,7 +11,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -26,6 +26,7 @@ from camber.replay.single_process_replay import DriveOutput, replay_in_one_proce
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.drive import DriveManifest, load_manifest
+from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
 from camber.validation.evaluate import evaluate_folder, headline
@@ -64,7 +65,7 @@ def replay(
     inputs = prepare_drive(manifest, out / "work")
     folder = RunFolder(out)
     folder.write_drive(drive_facts(inputs, out), None if inputs.truth is None else truth_of(inputs.truth))
-    _compile(manifest, quiet=quiet)
+    _compile(inputs, quiet=quiet)
     tick_times_ns = inputs.tick_times_ns
     recorded = None
     with (
@@ -101,23 +102,28 @@ def replay(
     return 0
 
 
-def _compile(manifest: DriveManifest, *, quiet: bool) -> None:
-    """Compile what the drive needs of the engine and of scan matching before the clock runs."""
+def _compile(inputs: DriveInputs, *, quiet: bool) -> None:
+    """Compile what the drive needs of the engine, the map server and scan matching before the clock runs."""
+    warm_ups: list[Callable[[], object]] = []
+    functions = 0
+    if inputs.manifest.judged_positions == "engine":
+        from camber.gnss import warm_up as engine
 
-    def report(what: str) -> None:
-        if not quiet:
-            print(f"camber replay: compiling {what} (a minute, the first time)", file=sys.stderr)
+        warm_ups.append(engine.warm_up)
+        functions += engine.ENGINE_FUNCTIONS + engine.SUBSET_FUNCTIONS
+    if inputs.map_release is not None:
+        from camber.map_server import warm_up as roads
 
-    if manifest.judged_positions == "engine":
-        from camber.gnss.warm_up import warm_up
+        warm_ups.append(roads.warm_up)
+        functions += roads.FUNCTIONS
+    if inputs.manifest.sweeps is not None:
+        from camber.localizer import warm_up as matching
 
-        report("the RTK engine")
-        warm_up()
-    if manifest.sweeps is not None:
-        from camber.localizer.warm_up import warm_up as warm_up_matching
-
-        report("scan matching")
-        warm_up_matching()
+        warm_ups.append(matching.warm_up)
+        functions += matching.FUNCTIONS
+    with compilation_bar(functions, quiet=quiet):
+        for warm_up in warm_ups:
+            warm_up()
 
 
 def _write_issues(folder: Path, inputs: DriveInputs, output: DriveOutput) -> None:

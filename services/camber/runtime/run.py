@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from camber.compiled.compilation_progress import CompilationProgress, watched_by
 from camber.runtime.bus import Bus
 from camber.runtime.clock import ReplayClock, SystemClock
 from camber.runtime.health.report import HealthReporter
@@ -225,7 +226,8 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     )
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
     collector, metrics, hindrance = _metrics(settings, service_class.NAME)
-    service_class.prepare(settings)
+    with _compilation_logged(settings, service_class):
+        service_class.prepare(settings)
     try:
         with _saying_that_it_waits(settings, service_class.NAME):
             session = open_session(settings.zenoh)
@@ -276,6 +278,19 @@ def _host_classes(settings: ServiceSettings) -> tuple[type[Bus], type[Loop]]:
         return Bus, Loop
     lock_step = importlib.import_module("camber.replay.lock_step.service_loop")
     return lock_step.LockStepBus, lock_step.LockStepLoop
+
+
+@contextmanager
+def _compilation_logged(settings: ServiceSettings, service_class: type[Service[Any]]) -> Iterator[None]:
+    """Log one line before functions are compiled, which takes up to a minute after installation."""
+
+    def begin(functions: int | None) -> None:
+        log = make_logger(service_class.NAME, level=settings.log_level, form=settings.log_format)
+        log.info("compiles", functions=functions)
+
+    expected = service_class.compiled_functions(settings)
+    with watched_by(CompilationProgress(expected=expected, begin=begin, advance=lambda: None)):
+        yield
 
 
 @contextmanager

@@ -26,6 +26,11 @@ class Service(Generic[S]):
     def prepare(cls, settings: S) -> None:
         """What takes long and must be done before anybody can see, or wait for, this service."""
 
+    @classmethod
+    def compiled_functions(cls, settings: S) -> int:
+        """Number of compiled functions that `prepare` reads from disk, or compiles at the first start."""
+        return 0
+
     def __init__(self, settings: S, bus: Bus) -> None:
         self.settings = settings
         self.bus = bus

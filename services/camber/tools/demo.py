@@ -14,6 +14,9 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED
 from camber.tools.options.parsers import add_with_default
 
+CITY_FUNCTIONS = 20
+"""Compiled functions that simulating the city calls from Python."""
+
 
 def main(argv: Sequence[str]) -> int:
     """Simulate and replay the drive; prints the summary."""
@@ -67,4 +70,4 @@ def _city(out: Path, seed: int | None) -> Path:
     from camber.tools.simulate import simulate
 
     scenario = load_scenario("city", [] if seed is None else [f"seed={seed}"])
-    return simulate(scenario, out / "city", quiet=False)
+    return simulate(scenario, out / "city", quiet=False, functions=CITY_FUNCTIONS)

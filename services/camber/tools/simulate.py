@@ -27,6 +27,7 @@ from camber.simulator.output.drive_folder import parts_of, write_drive
 from camber.simulator.output.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
+from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SECONDS, SEED
 from camber.tools.options.stop_signals import stopped_by_signals
@@ -84,37 +85,48 @@ def _folder(out: Path | None) -> Iterator[Path]:
         yield Path(folder) / "drive"
 
 
-def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
+def simulate(scenario: Scenario, out: Path, *, quiet: bool, functions: int | None = None) -> Path:
     """Run the simulation, with a progress bar on a terminal; returns the manifest's path, or the folder of a fleet.
 
-    An earlier simulation in the folder is replaced. Raises ScenarioError, OSError where a file cannot be written, and
-    ModuleNotFoundError without numba.
+    An earlier simulation in the folder is replaced. `functions`: how many are compiled for it, if known. Raises
+    ScenarioError, OSError where a file cannot be written, and ModuleNotFoundError without numba.
     """
     require_numba()
     _check_room(out)
     began = time.monotonic()
-    hidden = quiet or not sys.stderr.isatty()
-    stops = ""
-    if scenario.fleet is not None:
-        _make_room(out, scenario)
-        with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
-            for _ in write_fleet(out, scenario):
-                bar.update()
-        made = out
-    else:
-        drive = simulate_drive(scenario)
-        if drive.arrives_s < scenario.duration_s - _LONG_STOP_S:
-            stops = f", at the end of its route after {drive.arrives_s:.0f} s"
-        _make_room(out, scenario)
-        with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
-            for part in write_drive(out, drive):
-                bar.set_description(part, refresh=False)
-                bar.update()
-        made = out / "drive.toml"
+    with compilation_bar(functions, quiet=quiet):
+        made, stops = (
+            _fleet(scenario, out, quiet=quiet) if scenario.fleet else _drive(scenario, out, quiet=quiet)
+        )
     if not quiet:
         took_s = time.monotonic() - began
         print(f"simulated {scenario.name}, seed {scenario.seed}, in {took_s:.0f} s{stops}: {made}")
     return made
+
+
+def _fleet(scenario: Scenario, out: Path, *, quiet: bool) -> tuple[Path, str]:
+    assert scenario.fleet is not None
+    _make_room(out, scenario)
+    hidden = quiet or not sys.stderr.isatty()
+    with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
+        for _ in write_fleet(out, scenario):
+            bar.update()
+    return out, ""
+
+
+def _drive(scenario: Scenario, out: Path, *, quiet: bool) -> tuple[Path, str]:
+    """Return the manifest's path, and a note where the vehicle stops early."""
+    drive = simulate_drive(scenario)
+    stops = ""
+    if drive.arrives_s < scenario.duration_s - _LONG_STOP_S:
+        stops = f", at the end of its route after {drive.arrives_s:.0f} s"
+    _make_room(out, scenario)
+    hidden = quiet or not sys.stderr.isatty()
+    with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
+        for part in write_drive(out, drive):
+            bar.set_description(part, refresh=False)
+            bar.update()
+    return out / "drive.toml", stops
 
 
 def _check_room(out: Path) -> None:

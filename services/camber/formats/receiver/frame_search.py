@@ -95,7 +95,7 @@ def _find(
                 failed[protocol] += 1
                 size = -1
         if size > 0:
-            frames[count] = protocol, start, size
+            frames[count, 0], frames[count, 1], frames[count, 2] = protocol, start, size
             count += 1
         else:
             for byte in data[start : start - size]:

@@ -67,10 +67,12 @@ def nearest_integers(
             place = min(obtained, wanted - 1)
             while place > 0 and norms[place - 1] > norm:
                 norms[place] = norms[place - 1]
-                vectors[place] = vectors[place - 1]
+                for i in range(count):
+                    vectors[place, i] = vectors[place - 1, i]
                 place -= 1
             norms[place] = norm
-            vectors[place] = integer
+            for i in range(count):
+                vectors[place, i] = integer[i]
             obtained = min(obtained + 1, wanted)
             limit = norms[wanted - 1]
         elif level == count - 1:

@@ -15,13 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, satellite_name
 from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
 from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.observations.signal_pairs import Booleans, systems_of
-from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior, float_position, relative_to
+from camber.gnss.position.float_solution import NO_PRIOR, float_position, relative_to
 from camber.gnss.position.rtk_engine import Solution
 
 Strategy = Literal[
@@ -81,26 +80,25 @@ def subset_candidates(
     subsets = _subsets(rows, place, given, strategy, most=max(most_trials, 0))
     if not subsets:
         return 0, []
-    masks = np.array(subsets)[:, place]
     trial = criteria._replace(least_success_rate=min(criteria.least_success_rate, _LEAST_SUCCESS_RATE))
-    status, dx, covariance, counts, quality = _estimates(
-        rows, masks, relative_to(solution.prior, approximate_ecef_m), trial
-    )
-    passed = np.flatnonzero(status == RESOLVED)
-    apart = np.linalg.norm(dx[passed, None] - dx[None, passed], axis=2)
+    prior = relative_to(solution.prior, approximate_ecef_m)
+    trials = [(subset, estimate(rows, subset[place], prior, trial)) for subset in subsets]
+    passed = [(subset, result) for subset, result in trials if result.status == RESOLVED]
+    dx = np.array([result.dx_m for _, result in passed]).reshape(-1, 3)
+    apart = np.linalg.norm(dx[:, None] - dx[None], axis=2)
     agreeing = ((apart > IDENTICAL_M) & (apart < _AGREEMENT_M)).sum(axis=1)
     candidates = [
         SubsetCandidate(
-            position_ecef_m=approximate_ecef_m + dx[t],
-            covariance_ecef_m2=covariance[t],
-            excluded=tuple(name for name, used in zip(names, subsets[t], strict=True) if not used),
-            ambiguities=int(counts[t, 0]),
-            fixed=int(counts[t, 1]),
-            ratio=float(quality[t, 0]),
-            success_rate=float(quality[t, 1]),
+            position_ecef_m=approximate_ecef_m + result.dx_m,
+            covariance_ecef_m2=result.covariance_m2,
+            excluded=tuple(name for name, used in zip(names, subset, strict=True) if not used),
+            ambiguities=result.ambiguities,
+            fixed=result.fixed,
+            ratio=result.ratio,
+            success_rate=result.success_rate,
             agreeing=int(agree),
         )
-        for t, agree in zip(passed.tolist(), agreeing.tolist(), strict=True)
+        for (subset, result), agree in zip(passed, agreeing.tolist(), strict=True)
     ]
     return len(subsets), candidates
 
@@ -154,20 +152,3 @@ def _normalised_residuals(rows: SingleDifferences, usable: Booleans) -> Floats:
         if position.used[of_group].any():
             residual[of_group] -= np.nanmedian(residual[of_group & position.used])
     return np.nan_to_num(np.abs(residual) / np.sqrt(rows.code_variance_m2))
-
-
-@compiled
-def _estimates(
-    rows: SingleDifferences, masks: Booleans, prior: PositionPrior, criteria: FixCriteria
-) -> tuple[Integers, Floats, Floats, Integers, Floats]:
-    """For each mask (t, n): status (t,), offset (t, 3), covariance (t, 3, 3), ambiguities and fixed (t, 2), ratio
-    and success rate (t, 2)."""
-    t = masks.shape[0]
-    status, dx, covariance = np.empty(t, np.int64), np.empty((t, 3)), np.empty((t, 3, 3))
-    counts, quality = np.empty((t, 2), np.int64), np.empty((t, 2))
-    for k in range(t):
-        result = estimate(rows, masks[k], prior, criteria)
-        status[k], dx[k], covariance[k] = result.status, result.dx_m, result.covariance_m2
-        counts[k, 0], counts[k, 1] = result.ambiguities, result.fixed
-        quality[k, 0], quality[k, 1] = result.ratio, result.success_rate
-    return status, dx, covariance, counts, quality

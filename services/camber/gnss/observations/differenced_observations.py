@@ -141,7 +141,10 @@ def single_differences(
     ionosphere_m = noise.ionosphere * baseline_m
     atmosphere_m2 = np.zeros((3, 3))
     for axis, share in enumerate((noise.horizontal, noise.horizontal, noise.vertical)):
-        atmosphere_m2 += (share * baseline_m) ** 2 * np.outer(rotation[axis], rotation[axis])
+        along_axis_m2 = (share * baseline_m) ** 2
+        for i in range(3):
+            for j in range(3):
+                atmosphere_m2[i, j] += along_axis_m2 * (rotation[axis, i] * rotation[axis, j])
     m = rover.states.clock_s.size
     direction, base_direction = np.empty((m, 3)), np.empty((m, 3))
     sine, base_sine, model_m = np.empty(m), np.empty(m), np.empty(m)

@@ -1,6 +1,6 @@
 """RTK solution of one epoch of rover and base: single differences, float solution, LAMBDA, ratio test, fixed solution.
 
-One compiled call from observations to the estimate.
+Two compiled calls: from observations to single differences, and from these to the estimate, which subsets use alone.
 """
 
 from __future__ import annotations
@@ -84,7 +84,6 @@ def usable_parts(columns: SignalColumns) -> Integers:
     return parts
 
 
-@compiled
 def solve_epoch(
     rover: SignalColumns,
     base: SignalColumns,
@@ -95,6 +94,31 @@ def solve_epoch(
     parameters: EngineParameters,
 ) -> EpochSolution:
     """Float and fixed position of one epoch; the prior is in ECEF."""
+    approximate, rows, near, satellites = _differences(
+        rover=rover,
+        base=base,
+        sky=sky,
+        start_ecef_m=start_ecef_m,
+        base_ecef_m=base_ecef_m,
+        prior=prior,
+        parameters=parameters,
+    )
+    usable = np.ones(rows.group.size, np.bool_)
+    result = estimate(rows, usable, near, parameters.criteria)
+    return EpochSolution(approximate, satellites, rows, result)
+
+
+@compiled
+def _differences(
+    rover: SignalColumns,
+    base: SignalColumns,
+    sky: SatelliteView,
+    start_ecef_m: Floats,
+    base_ecef_m: Floats,
+    prior: PositionPrior,
+    parameters: EngineParameters,
+) -> tuple[Floats, SingleDifferences, PositionPrior, int]:
+    """Linearisation point (3,), single differences, the prior relative to the point, and the number of satellites."""
     rover_parts, base_parts = usable_parts(rover), usable_parts(base)
     pairs = pair_signals(rover, rover_parts, base, base_usable=base_parts, groups=parameters.groups)
     base_states = _base_states(pairs, base, sky)
@@ -118,8 +142,19 @@ def solve_epoch(
     for a in range(rows.group.size):
         if rover_parts[rows.rover[a]] < 2 or base_parts[rows.base[a]] < 2:
             rows.phase_m[a] = np.nan
-    result = estimate(rows, usable, relative_to(prior, approximate), parameters.criteria)
-    return EpochSolution(approximate, np.unique(rows.satellite).size, rows, result)
+    return approximate, rows, relative_to(prior, approximate), _count_distinct(rows.satellite)
+
+
+@compiled
+def _count_distinct(numbers: Integers) -> int:
+    count = 0
+    for i in range(numbers.size):
+        count += 1
+        for j in range(i):
+            if numbers[j] == numbers[i]:
+                count -= 1
+                break
+    return count
 
 
 @compiled

@@ -99,7 +99,7 @@ def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) 
         most = count - used.sum() if status == OK else 4
         excluded = _smallest_exclusion(model, candidate, most, false_alarm)
         if excluded.size > 0:
-            used[:] = candidate
+            used = candidate.copy()
             used[excluded] = False
             fit = _solve(model, used)
             status = fit.status

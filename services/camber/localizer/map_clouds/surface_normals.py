@@ -52,12 +52,15 @@ def _fit(points_m: Floats, neighbours: Integers, planes: tuple[Floats, Floats, F
         for d in range(1, 3):
             if a[d, d] < a[least, least]:
                 least = d
-        scatter = sorted([a[0, 0], a[1, 1], a[2, 2]])
-        normals[i] = v[:, least]
-        thickness2 = max(scatter[0], 0.0) / (k - 3)
+        # The two smaller ones of three: sorting a list takes two seconds to compile.
+        low, high = min(a[0, 0], a[1, 1]), max(a[0, 0], a[1, 1])
+        middle = max(low, min(high, a[2, 2]))
+        for d in range(3):
+            normals[i, d] = v[d, least]
+        thickness2 = max(min(low, a[2, 2]), 0.0) / (k - 3)
         thickness_m[i] = math.sqrt(thickness2)
         variance_rad2[i] = (
-            max(min(thickness2 / scatter[1], 1.0), LEAST_NORMAL_VARIANCE_RAD2) if scatter[1] > 0.0 else 1.0
+            max(min(thickness2 / middle, 1.0), LEAST_NORMAL_VARIANCE_RAD2) if middle > 0.0 else 1.0
         )
 
 

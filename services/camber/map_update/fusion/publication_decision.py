@@ -258,7 +258,9 @@ def _isolated_steps(
 ) -> NDArray[np.bool_]:
     """Return which surfaces (n,) changed while no neighbour did, among those that enough vehicles observed."""
     place = np.full(len(begins) - 1, -1)
-    place[changes.row[changes.enough]] = np.flatnonzero(changes.enough)
+    for i in range(len(changes.row)):
+        if changes.enough[i]:
+            place[changes.row[i]] = i
     isolated = np.zeros(len(changes.row), np.bool_)
     for i in range(len(isolated)):
         change_m, contradicted = changes.change_m[i], False

@@ -56,7 +56,7 @@ def _exponential(matrix: Floats) -> Floats:
 def _stepped(one: Floats, first: Floats, u: Floats) -> Floats:
     n = len(u)
     states = np.empty((n, 2))
-    states[0] = first
+    states[0, 0], states[0, 1] = first[0], first[1]
     for k in range(1, n):
         for i in range(2):
             states[k, i] = one[i, 0] * states[k - 1, 0] + one[i, 1] * states[k - 1, 1]

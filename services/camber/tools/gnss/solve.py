@@ -25,10 +25,12 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine
+from camber.gnss.warm_up import ENGINE_FUNCTIONS, warm_up
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
 from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
+from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.tools.options.parsers import add_with_default, tool_parser
@@ -39,6 +41,8 @@ _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
 _HIGHEST_M = 20_000.0
 """Chosen: no base station is so high."""
+RINEX_FUNCTIONS = 1
+"""Compiled functions that reading observations in RINEX calls from Python; UBX and RTCM need up to four."""
 _SAME_TIME_NS = NS_PER_SECOND // 50
 """Chosen: receiver clocks differ by less; epochs of rover and base within this are of one time."""
 
@@ -68,7 +72,7 @@ def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
     raw = manifest.observations
     if raw is None:
         raise ManifestError(f"{manifest.name}: no table observations, expected raw observations and a base")
-    recording = load_raw(raw.rover_obs, raw.base_obs, raw.ephemerides, base_ecef_m=raw.base_ecef_m)
+    recording = _load(raw.rover_obs, raw.base_obs, raw.ephemerides, base_ecef_m=raw.base_ecef_m)
     rover = _within(recording.rover, manifest)
     if not rover:
         raise ManifestError(f"{manifest.name}: no epoch of the rover from start_s to end_s, expected some")
@@ -87,9 +91,19 @@ def solve_files(
     """The same of files: rover, base, then ephemerides. Raises FormatError, OSError."""
     require_matplotlib()
     rover, base, *ephemerides = files
-    recording = load_raw(rover, base, ephemerides, base_ecef_m=base_ecef_m)
+    recording = _load(rover, base, ephemerides, base_ecef_m=base_ecef_m)
     solved = run_engine(recording, recording.rover, options)
     return _written(rover.name, recording, solved, options, errors_m=None, out=out)
+
+
+def _load(
+    rover: Path, base: Path, ephemerides: Sequence[Path], *, base_ecef_m: tuple[float, float, float] | None
+) -> RawRecording:
+    """Read the files and compile the engine, as far as that was not done before."""
+    with compilation_bar(RINEX_FUNCTIONS + ENGINE_FUNCTIONS):
+        recording = load_raw(rover, base, ephemerides, base_ecef_m=base_ecef_m)
+        warm_up(subsets=False)
+    return recording
 
 
 def _written(

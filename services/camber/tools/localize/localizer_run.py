@@ -12,10 +12,12 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from camber.localizer import warm_up as localizer_warm_up
 from camber.localizer.localization import Localization, LocalizationOptions
 from camber.localizer.map_queries import MapQueries
 from camber.localizer.matching.scan_matcher import ScanMatcher
 from camber.localizer.settings import LocalizerSettings
+from camber.map_server import warm_up as map_server_warm_up
 from camber.replay.drive_inputs import DriveInputs
 from camber.replay.lock_step.processes import config_text
 from camber.replay.sweep_files import SweepReader
@@ -29,6 +31,7 @@ from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import Pose, ScanMatch
 from camber.tools.localize.local_map_queries import release_for
 from camber.tools.localize.localizer_config import localizer_config
+from camber.tools.options.compilation_bar import compilation_bar
 
 M = TypeVar("M", bound=Message)
 OnMatches = Callable[[Sequence[ScanMatch], ScanMatcher], None]
@@ -85,6 +88,15 @@ class LocalizedDrive:
     notes: tuple[str, ...]
 
 
+def _compile(*, scan_matching: bool, quiet: bool) -> None:
+    """Compile map queries, and scan matching where it is used."""
+    functions = map_server_warm_up.FUNCTIONS + (localizer_warm_up.FUNCTIONS if scan_matching else 0)
+    with compilation_bar(functions, quiet=quiet):
+        map_server_warm_up.warm_up()
+        if scan_matching:
+            localizer_warm_up.warm_up()
+
+
 def localize(
     inputs: DriveInputs,
     options: LocalizationOptions,
@@ -99,6 +111,7 @@ def localize(
     tally, reader = IssueTally(), SweepReader()
     localization = Localization(options, answers, tally)
     matcher = localization.matcher
+    _compile(scan_matching=matcher is not None, quiet=quiet)
     fixed, confirmed = deque(fixes), deque(anchors)
     poses: list[Pose] = []
     matches: list[ScanMatch] = []
