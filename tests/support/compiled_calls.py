@@ -1,7 +1,8 @@
 """`python -m support.compiled_calls SERVICE`: compiled functions that a service calls and its warm-up does not.
 
 Whatever is called from Python for the first time while a vehicle drives is compiled then, for seconds, and in a
-read-only container after every start. Those that compiled functions call are compiled with them.
+read-only container after every start. Also one that compiled functions call: what they link is not made for Python.
+The number of functions that is shown at the first start must be right, too.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from collections.abc import Iterator
 from types import CodeType, FunctionType, ModuleType
 
 from numba.core.dispatcher import Dispatcher
+
+from camber.compiled.compilation_progress import CompilationProgress, watched_by
 
 NOT_WHILE_DRIVING = {
     "_read_epochs": "RINEX comes from files: a pause harms nobody",
@@ -33,23 +36,27 @@ def main(service: str) -> int:
     ]
     shared_folders = ("camber.formats.", "camber.road_map.", "camber.geodesy.")
     shared = [module for name, module in sys.modules.items() if name.startswith(shared_folders)]
-    warm_up.warm_up()
-    if hasattr(warm_up, "compile_readers"):
-        warm_up.compile_readers()
-    called = {each: by for module in (*of_service, *shared) for each, by in _calls(module, compiled=False)}
-    within = {each for module in (*of_service, *shared) for each, _ in _calls(module, compiled=True)}
+    progress = CompilationProgress(expected=None, begin=lambda functions: None, advance=lambda: None)
+    with watched_by(progress):
+        warm_up.warm_up()
+        if hasattr(warm_up, "compile_readers"):
+            warm_up.compile_readers()
+    called = {each: by for module in (*of_service, *shared) for each, by in _calls(module)}
     missing = [
         f"{each.py_func.__module__}.{each.py_func.__name__}, called by {by}"
         for each, by in called.items()
-        if not each.signatures and each not in within and each.py_func.__name__ not in NOT_WHILE_DRIVING
+        if not each.signatures and each.py_func.__name__ not in NOT_WHILE_DRIVING
     ]
+    count = progress.read + progress.compiled
+    if count != warm_up.FUNCTIONS:
+        missing.append(f"{warm_up.__name__}.FUNCTIONS is {warm_up.FUNCTIONS}, expected {count}")
     print("\n".join(missing) or f"{len(called)} compiled functions are called")
     return 1 if missing or not called else 0
 
 
-def _calls(module: ModuleType, *, compiled: bool) -> Iterator[tuple[Dispatcher, str]]:
-    """Compiled functions whose names stand in functions of a module, in compiled ones or in Python's."""
-    for function in _functions(module, compiled=compiled):
+def _calls(module: ModuleType) -> Iterator[tuple[Dispatcher, str]]:
+    """Compiled functions whose names stand in the functions of Python of a module."""
+    for function in _functions(module):
         for code in _codes(function.__code__):
             for name in code.co_names:
                 value = function.__globals__.get(name)
@@ -57,14 +64,11 @@ def _calls(module: ModuleType, *, compiled: bool) -> Iterator[tuple[Dispatcher, 
                     yield value, f"{module.__name__}.{function.__qualname__}"
 
 
-def _functions(module: ModuleType, *, compiled: bool) -> Iterator[FunctionType]:
+def _functions(module: ModuleType) -> Iterator[FunctionType]:
     for value in vars(module).values():
-        if isinstance(value, Dispatcher):
-            if compiled and value.py_func.__module__ == module.__name__:
-                yield value.py_func
-        elif compiled or getattr(value, "__module__", "") != module.__name__:
+        if getattr(value, "__module__", "") != module.__name__:
             continue
-        elif isinstance(value, FunctionType):
+        if isinstance(value, FunctionType):
             yield value
         elif isinstance(value, type):
             for member in vars(value).values():

@@ -29,7 +29,7 @@ from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.position.satellite_use import satellite_columns
 from camber.gnss.settings import GnssSettings
-from camber.gnss.warm_up import READER_FUNCTIONS, SERVICE_FUNCTIONS, compile_readers, warm_up
+from camber.gnss.warm_up import FUNCTIONS, READER_FUNCTIONS, compile_readers, warm_up
 from camber.road_map.release_files import write_file
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
@@ -72,7 +72,7 @@ class GnssService(Service[GnssSettings]):
     @classmethod
     def compiled_functions(cls, settings: GnssSettings) -> int:
         """Those of the readers, and with raw observations those of the engine."""
-        return SERVICE_FUNCTIONS if settings.positions == "engine" else READER_FUNCTIONS
+        return FUNCTIONS if settings.positions == "engine" else READER_FUNCTIONS
 
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

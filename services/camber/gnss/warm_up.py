@@ -21,6 +21,7 @@ from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.rtcm.writer import format_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.gnss.ambiguity.fixed_solution import chi2_limit
 from camber.gnss.candidates.satellite_subsets import subset_candidates
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import (
@@ -31,10 +32,11 @@ from camber.gnss.observations.satellite_states import (
 )
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
+from camber.gnss.position.small_algebra import form, inner
 
-READER_FUNCTIONS, ENGINE_FUNCTIONS, SUBSET_FUNCTIONS = 10, 15, 2
+READER_FUNCTIONS, ENGINE_FUNCTIONS, SUBSET_FUNCTIONS = 10, 15, 5
 """Compiled functions that Python calls: of `compile_readers`, of the engine, and for subsets in addition."""
-SERVICE_FUNCTIONS = 21
+FUNCTIONS = 24
 """Those of the service: the readers share some with the engine."""
 
 # A synthetic sky: 30 GPS satellites, two signals, all above 17°.
@@ -63,6 +65,10 @@ def warm_up(*, subsets: bool = True) -> Solution:
         solution = engine.solve(_epoch(engine.ephemerides, rover, time_ns))
     if subsets:
         subset_candidates(solution, settings.fix_criteria(), "all", most_trials=4)
+        # What `subset_agreement` calls where there are several systems.
+        form(_BASE_ECEF_M, np.eye(3))
+        inner(_BASE_ECEF_M, _BASE_ECEF_M)
+        chi2_limit(3, settings.fix_criteria().residual_quantile)
     return solution
 
 
