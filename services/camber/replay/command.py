@@ -11,10 +11,10 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
+from types import FrameType, ModuleType
 
 from tqdm import tqdm
 
@@ -26,9 +26,9 @@ from camber.replay.single_process_replay import DriveOutput, replay_in_one_proce
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.drive import DriveManifest, load_manifest
-from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
+from camber.tools.options.shared_warm_up import warm_up_all
 from camber.validation.evaluate import evaluate_folder, headline
 from camber.validation.reference_trajectory import truth_of
 from camber.validation.report.chart_data import CHART_CHANNELS
@@ -103,27 +103,25 @@ def replay(
 
 
 def _compile(inputs: DriveInputs, *, quiet: bool) -> None:
-    """Compile what the drive needs of the engine, the map server and scan matching before the clock runs."""
-    warm_ups: list[Callable[[], object]] = []
+    """Compile what the drive needs of the engine, scan matching and the map server before the clock runs."""
+    modules: list[ModuleType] = []
     functions = 0
     if inputs.manifest.judged_positions == "engine":
         from camber.gnss import warm_up as engine
 
-        warm_ups.append(engine.warm_up)
+        modules.append(engine)
         functions += engine.ENGINE_FUNCTIONS + engine.SUBSET_FUNCTIONS
-    if inputs.map_release is not None:
-        from camber.map_server import warm_up as roads
-
-        warm_ups.append(roads.warm_up)
-        functions += roads.FUNCTIONS
     if inputs.manifest.sweeps is not None:
         from camber.localizer import warm_up as matching
 
-        warm_ups.append(matching.warm_up)
+        modules.append(matching)
         functions += matching.FUNCTIONS
-    with compilation_bar(functions, quiet=quiet):
-        for warm_up in warm_ups:
-            warm_up()
+    if inputs.map_release is not None:
+        from camber.map_server import warm_up as roads
+
+        modules.append(roads)
+        functions += roads.FUNCTIONS
+    warm_up_all(modules, functions, quiet=quiet)
 
 
 def _write_issues(folder: Path, inputs: DriveInputs, output: DriveOutput) -> None:

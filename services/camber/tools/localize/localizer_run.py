@@ -31,7 +31,7 @@ from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import Pose, ScanMatch
 from camber.tools.localize.local_map_queries import release_for
 from camber.tools.localize.localizer_config import localizer_config
-from camber.tools.options.compilation_bar import compilation_bar
+from camber.tools.options.shared_warm_up import warm_up_all
 
 M = TypeVar("M", bound=Message)
 OnMatches = Callable[[Sequence[ScanMatch], ScanMatcher], None]
@@ -90,11 +90,8 @@ class LocalizedDrive:
 
 def _compile(*, scan_matching: bool, quiet: bool) -> None:
     """Compile map queries, and scan matching where it is used."""
-    functions = map_server_warm_up.FUNCTIONS + (localizer_warm_up.FUNCTIONS if scan_matching else 0)
-    with compilation_bar(functions, quiet=quiet):
-        map_server_warm_up.warm_up()
-        if scan_matching:
-            localizer_warm_up.warm_up()
+    modules = (localizer_warm_up, map_server_warm_up) if scan_matching else (map_server_warm_up,)
+    warm_up_all(modules, sum(module.FUNCTIONS for module in modules), quiet=quiet)
 
 
 def localize(
