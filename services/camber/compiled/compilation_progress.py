@@ -1,4 +1,4 @@
-"""Progress of compilation, for whoever shows it. Machine code is kept on disk: it concerns the first run only."""
+"""Progress of compilation, to be shown. Machine code is kept on disk: it concerns the first run only."""
 
 from __future__ import annotations
 
