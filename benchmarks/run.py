@@ -1,7 +1,7 @@
 """Camber's figures beside those of a peer in the same run: `python benchmarks/run.py --out out/bench.json`.
 
 Every file beside this one with a function `figures` is an area. Absolute figures are this machine's under its load of
-now; ratios hold better. About eighteen minutes.
+now; ratios hold better. About twenty minutes.
 """
 
 from __future__ import annotations
