@@ -89,9 +89,17 @@ from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roa
 from fuzz.target import Target
 from support import lanelet_maps, opendrive_maps
 from support.contributions import contribution, random_batch
+from support.glonass_messages import (
+    glonass_navigation_text,
+    glonass_strings,
+    message_1020,
+    random_glonass_ephemeris,
+    string_message,
+)
 from support.lanelet_maps import lanelet2_bytes
 from support.messages import build, message_classes
 from support.opendrive_maps import opendrive_bytes
+from support.random_msm import any_msm
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 from support.rinex2_writer import Epoch2, labelled, navigation_text_2, observation_text_2, types_lines
 from support.ros_bags import MAKERS, point_cloud2_bytes
@@ -128,6 +136,8 @@ def _rtcm(random: Random) -> list[list[bytes]]:
             name = random.choice(("G05", "E11", "J02", "C19"))
             toe_ns = TOE_NS + (GPS_MINUS_BDT_NS if name == "C19" else 0)
             frames += format_ephemeris(random_ephemeris(rng, name, toe_ns))
+        frames += [any_msm(rng, 1084 + number) for number in range(4)]
+        frames += [message_1020(random_glonass_ephemeris(rng, number, START_NS)) for number in (3, 24)]
         streams.append([frame[3:-3] for frame in frames])
     return streams
 
@@ -204,11 +214,40 @@ def _ubx(random: Random) -> list[list[bytes]]:
             # Two periods, of which one is complete for any start.
             parts = subframes_between(ephemeris, TOE_NS, TOE_NS + 60_000_000_000)
             frames += [format_subframe(part) for part in parts]
+        glonass = random_glonass_ephemeris(rng, 7, START_NS)
+        frames += [string_message(string, glonass) for string in glonass_strings(glonass)]
+        frames.append(ubx_frame(0x02, 0x15, _glonass_measurements(random)))
         for solution in solutions:
             epoch = random_epoch(rng, solution.time_ns, carriers=known)
             frames += [format_raw_measurements(epoch), *_navigation_epoch(random, solution)]
         streams.append([frame[2:4] + frame[6:-2] for frame in frames])
     return streams
+
+
+def _glonass_measurements(random: Random) -> bytes:
+    """The payload of an RXM-RAWX with GLONASS alone, which the encoder leaves out."""
+    week, of_week_ns = week_tow_from_gps_ns(START_NS)
+    head = struct.pack("<dHbBBB2x", of_week_ns / 1e9, week, 18, 8, 1, 1)
+    rows = (
+        struct.pack(
+            "<ddfBBBBHBBBBBx",
+            2.1e7,
+            1.1e8,
+            -900.0,
+            6,
+            number,
+            random.choice((0, 2)),
+            number,
+            5000,
+            45,
+            5,
+            2,
+            3,
+            7,
+        )
+        for number in range(1, 9)
+    )
+    return head + b"".join(rows)
 
 
 def _navigation_epoch(random: Random, solution: ReceiverSolution) -> list[bytes]:
@@ -370,7 +409,9 @@ def _rinex_navigation(random: Random) -> list[list[bytes]]:
     ephemerides = [random_ephemeris(rng, f"G{n:02d}", START_NS // WEEK_NS * WEEK_NS) for n in (1, 32)]
     klobuchar = IonosphereCoefficients(system="G", alpha=(1e-8,) * 4, beta=(1e5,) * 4)
     old = navigation_text_2(ephemerides, klobuchar).splitlines(keepends=True)
-    return [[part.encode() for part in parts] for parts in (lines, (head, *announced), old)]
+    glonass = [random_glonass_ephemeris(rng, number, START_NS) for number in (1, 24)]
+    of_glonass = [glonass_navigation_text(glonass, v).splitlines(keepends=True) for v in (2.11, 3.04, 3.05)]
+    return [[part.encode() for part in parts] for parts in (lines, (head, *announced), old, *of_glonass)]
 
 
 def _messages(random: Random) -> list[list[bytes]]:

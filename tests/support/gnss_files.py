@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import BroadcastEphemeris, ObservationEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.compressed_files import rinex_chunks
@@ -40,7 +40,7 @@ class RinexObservations:
 class RinexNavigation:
     """A navigation file."""
 
-    ephemerides: list[Ephemeris]
+    ephemerides: list[BroadcastEphemeris]
     klobuchar: Mapping[str, IonosphereCoefficients]
     leap_seconds: int | None
     problems: list[FormatError]
@@ -78,7 +78,7 @@ def read_navigation(path: Path) -> RinexNavigation:
     if decoder.version is None:
         raise problems[0]
     return RinexNavigation(
-        ephemerides=[r for r in results if isinstance(r, Ephemeris)],
+        ephemerides=[r for r in results if isinstance(r, BroadcastEphemeris)],
         klobuchar=decoder.klobuchar,
         leap_seconds=decoder.leap_seconds,
         problems=problems,

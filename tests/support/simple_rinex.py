@@ -53,7 +53,7 @@ def assert_equal_to_simple_reader(epochs: Sequence[ObservationEpoch], text: str)
     for epoch, (_, values) in zip(epochs, expected, strict=True):
         rows: dict[tuple[str, str], dict[str, tuple[float, str]]] = {}
         for (satellite, name), (value, lli, _) in values.items():
-            if satellite[0] in "GJEC" and name[0] in ATTRIBUTES and value != 0.0:
+            if satellite[0] in "GJECR" and name[0] in ATTRIBUTES and value != 0.0:
                 rows.setdefault((satellite, name[1:]), {})[name[0]] = value, lli.strip()
         names = map(satellite_name, epoch.satellite.tolist())
         keys = list(zip(names, map(signal_name, epoch.signal.tolist()), strict=True))

@@ -1,8 +1,8 @@
-"""RINEX 2, 3 and 4 navigation files: the Keplerian ephemerides of GPS, QZSS, Galileo and BeiDou, and the ionosphere.
+"""RINEX 2, 3 and 4 navigation files: ephemerides of GPS, QZSS, Galileo, BeiDou and GLONASS, and the ionosphere.
 
 Source: IGS/RTCM, "RINEX", version 3.04 (2018), table A5, and version 4.02 (2024), types of navigation records; version
-2.11 (2007), tables A3 and A4: GPS alone.
-Supported are GPS and QZSS LNAV, Galileo I/NAV and F/NAV, BeiDou D1 and D2; other messages are counted.
+2.11 (2007), tables A3 and A4 (GPS alone), A10 and A11 (GLONASS alone).
+Supported are GPS and QZSS LNAV, Galileo I/NAV and F/NAV, BeiDou D1 and D2, GLONASS FDMA; other messages are counted.
 """
 
 from __future__ import annotations
@@ -12,8 +12,13 @@ from collections import Counter
 from camber.formats.broadcast.klobuchar_coefficients import Four, IonosphereCoefficients
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
-from camber.formats.observations import Ephemeris
-from camber.formats.rinex.navigation_records import NavigationRecord, parse_ephemeris, parse_ionosphere
+from camber.formats.observations import BroadcastEphemeris
+from camber.formats.rinex.navigation_records import (
+    NavigationRecord,
+    parse_ephemeris,
+    parse_glonass_ephemeris,
+    parse_ionosphere,
+)
 from camber.formats.rinex.observation_header import (
     MAX_HEADER_LINES,
     decimal_number,
@@ -23,13 +28,17 @@ from camber.formats.rinex.observation_header import (
 from camber.formats.rinex.version2_lines import navigation_line
 
 _MAX_RECORD_LINES = 12  # chosen: more than any supported record has (8), so that longer ones are an error
-_FIRST_OF_ALL_SYSTEMS = 3.0  # before, the records are of GPS alone and without its letter
+_FIRST_OF_ALL_SYSTEMS = 3.0  # before, the records are of one system and without its letter
+_TYPES_OF_VERSION_2 = {
+    "N": "G",
+    "G": "R",
+}  # RINEX 2.11, tables A3 and A10: navigation data of GPS, of GLONASS
 _IONOSPHERE_OF_VERSION_2 = {"ION ALPHA": "A", "ION BETA": "B"}
-_MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", "D2")}
+_MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", "D2"), "R": ("FDMA",)}
 _IONOSPHERE_MESSAGES = {"G": "LNAV", "J": "LNAV", "C": "D1D2"}
 _IONOSPHERE_SYSTEMS = {"GPS": "G", "BDS": "C", "QZS": "J"}
 
-NavigationResult = Ephemeris | IonosphereCoefficients | FormatError
+NavigationResult = BroadcastEphemeris | IonosphereCoefficients | FormatError
 
 
 class NavigationDecoder:
@@ -42,12 +51,13 @@ class NavigationDecoder:
         self.leap_seconds: int | None = None
         self.problems = 0
         self.skipped: Counter[str] = Counter()
-        """Unsupported records, by system letter and, in RINEX 4, message: `R`, `G CNAV`."""
+        """Unsupported records, by system letter and, in RINEX 4, message: `S`, `G CNAV`."""
         self.refused = False
         """Whether the file cannot be read: no more results."""
         self._source_name = source_name
         self._lines = LineBuffer()
         self._line_number = 0
+        self._system_of_version_2 = "G"
         self._halves: dict[tuple[str, str], dict[str, Four]] = {}
         self._in_header = True
         self._record: NavigationRecord | None = None
@@ -98,7 +108,8 @@ class NavigationDecoder:
         text = line.decode("latin-1").rstrip()
         if not self._in_header:
             assert self.version is not None
-            self._body_line(navigation_line(text) if self.version < _FIRST_OF_ALL_SYSTEMS else text)
+            version_2 = self.version < _FIRST_OF_ALL_SYSTEMS
+            self._body_line(navigation_line(text, self._system_of_version_2) if version_2 else text)
             return
         try:
             self._header_line(text)
@@ -110,7 +121,7 @@ class NavigationDecoder:
     def _header_line(self, text: str) -> None:
         label = text[60:].strip()
         if self.version is None:
-            self.version = rinex_version(text, "navigation data (N)", self._error)
+            self._first_line(text)
         elif self._line_number > MAX_HEADER_LINES:
             raise self._error("header", f"END OF HEADER within {MAX_HEADER_LINES} lines")
         elif label in _IONOSPHERE_OF_VERSION_2 and self.version < _FIRST_OF_ALL_SYSTEMS:
@@ -124,6 +135,15 @@ class NavigationDecoder:
                 raise self._error("LEAP SECONDS", "a number", text[:6])
         elif label == "END OF HEADER":
             self._in_header = False
+
+    def _first_line(self, text: str) -> None:
+        version = decimal_number(text[:9])
+        file_type = text[20:21]
+        if version is not None and version < _FIRST_OF_ALL_SYSTEMS and file_type in _TYPES_OF_VERSION_2:
+            self._system_of_version_2 = _TYPES_OF_VERSION_2[file_type]
+            self.version = rinex_version(text, f"navigation data ({file_type})", self._error)
+        else:
+            self.version = rinex_version(text, "navigation data (N)", self._error)
 
     def _header_ionosphere(self, text: str) -> None:
         """Add the coefficients with the line of their second half."""
@@ -185,7 +205,7 @@ class NavigationDecoder:
             if result is not None:
                 self._results.append(result)
 
-    def _parse(self, record: NavigationRecord) -> Ephemeris | IonosphereCoefficients | None:
+    def _parse(self, record: NavigationRecord) -> BroadcastEphemeris | IonosphereCoefficients | None:
         """Parse a record. Raises FormatError or ValueError where it is malformed."""
         assert self.version is not None
         system = record.satellite[:1]
@@ -194,7 +214,7 @@ class NavigationDecoder:
             if self.version >= 4.0 and not record.message:
                 expected = "a line '> EPH …' before it"
                 raise self._error("record", expected, record.satellite, line_number=record.first_line)
-            return parse_ephemeris(record)
+            return parse_glonass_ephemeris(record) if system == "R" else parse_ephemeris(record)
         if record.kind == "ION" and record.message == _IONOSPHERE_MESSAGES.get(system):
             self.klobuchar[system] = parse_ionosphere(record)
             return self.klobuchar[system]

@@ -1,7 +1,8 @@
 """Records of RINEX navigation files, lines of 80 columns, parsed to ephemerides and Klobuchar coefficients.
 
-Source: IGS/RTCM, "RINEX", version 3.04 (2018), tables A6, A8, A12, A14, the same in version 4.02 (2024); its record of
-the Klobuchar ionosphere. A number must fill its 19 columns, so that a truncated one is an error and not another value.
+Source: IGS/RTCM, "RINEX", version 3.04 (2018), tables A6, A8, A10, A12, A14, the same in version 4.02 (2024); its
+record of the Klobuchar ionosphere. A number must fill its 19 columns, so that a truncated one is an error and not
+another value.
 """
 
 from __future__ import annotations
@@ -12,9 +13,17 @@ from dataclasses import dataclass, field
 
 from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES, gps_ns_near
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.observations import GPS_MINUS_BDT_NS, Ephemeris
+from camber.formats.observations import GLONASS_CHANNELS, GPS_MINUS_BDT_NS, Ephemeris, GlonassEphemeris
 from camber.formats.rinex.observation_header import decimal_number
-from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
+from camber.geodesy.gps_time import (
+    NS_PER_DAY,
+    NS_PER_SECOND,
+    NS_PER_WEEK,
+    CalendarTime,
+    gps_minus_utc_s,
+    gps_ns_from_gpst,
+    gps_ns_from_utc,
+)
 
 _WIDTH = 19  # D19.12
 _UNKNOWN_TIME_S = 0.9999e9  # RINEX 3.04, table A6: transmission time not known
@@ -52,6 +61,18 @@ _OTHER = ("tgd_s", "iodc", "bgd_e5a_s", "bgd_e5b_s", "data_sources", "tgd1_s", "
 _MAY_BE_BLANK = {*_OTHER, "accuracy_m", "transmission_s", "fit", "codes_on_l2", "l2_p_data"}
 ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
 """Of these, those that are numbers of `Ephemeris` with the same name."""
+_GLONASS_ROWS = (
+    ("x_km", "vx_km_s", "ax_km_s2", "health"),
+    ("y_km", "vy_km_s", "ay_km_s2", "channel"),
+    ("z_km", "vz_km_s", "az_km_s2"),
+)
+_GLONASS_DELAY_COLUMN = (
+    4 + _WIDTH
+)  # of the line that 3.05 and 4 have in addition: status, delay, accuracy, health
+_LARGEST_DELAY_S = (
+    1e-7  # derived: Δτ_n has four bits of 0.93 ns; 0.999999999999e9 is "not known" (RINEX 4.02)
+)
+_QUARTER_NS = 900 * NS_PER_SECOND  # ICD GLONASS 5.1, 4.4: unit of t_b
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +131,64 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
         other=other,
         **{name: values[name] for name in ORBIT},
     )
+
+
+def parse_glonass_ephemeris(record: NavigationRecord) -> GlonassEphemeris:
+    """Parse a record of a GLONASS satellite. Raises ValueError with the problem."""
+    lines = record.lines
+    if len(lines) not in (1 + len(_GLONASS_ROWS), 2 + len(_GLONASS_ROWS)):
+        raise ValueError(f"{len(lines)} lines, not {1 + len(_GLONASS_ROWS)}")
+    if lines[0][:3] != record.satellite:
+        raise ValueError(f"satellite {lines[0][:3]!r} in its first line")
+    clock_s, rate = (_required(lines[0], 23 + _WIDTH * k, name) for k, name in enumerate(("tau", "gamma")))
+    values: dict[str, float] = {}
+    for names, line in zip(_GLONASS_ROWS, lines[1:], strict=False):
+        if line[:4].strip():
+            raise ValueError(f"{line[:4]!r} at the begin of a line")
+        values |= {name: _required(line, 4 + _WIDTH * k, name) for k, name in enumerate(names)}
+    # Some writers count negative channels from 256 down, as RTKLIB (`rinex.c`) reads them.
+    channel = values["channel"] - (256.0 if values["channel"] > 128.0 else 0.0)
+    if channel not in GLONASS_CHANNELS:
+        raise ValueError(f"frequency channel {channel}")
+    if not (0.0 <= values["health"] < 2.0**16 and values["health"].is_integer()):
+        raise ValueError(f"health {values['health']}")
+    number = _digits(record.satellite[1:3], "satellite")
+    if number == 0:
+        raise ValueError("satellite 0")
+    toe_ns = gps_ns_from_utc(_calendar(lines[0]))
+    delay_s = _optional(lines[-1], _GLONASS_DELAY_COLUMN, "delay") if len(lines) > 4 else None
+    return GlonassEphemeris(
+        satellite=ord("R") * 256 + number,
+        toe_ns=toe_ns,
+        transmission_ns=_glonass_frame_ns(_optional(lines[0], 23 + 2 * _WIDTH, "frame time"), toe_ns),
+        iode=_quarter_of_day(toe_ns),
+        channel=int(channel),
+        position_m=_metres(values, "x_km", "y_km", "z_km"),
+        velocity_m_s=_metres(values, "vx_km_s", "vy_km_s", "vz_km_s"),
+        acceleration_m_s2=_metres(values, "ax_km_s2", "ay_km_s2", "az_km_s2"),
+        clock=(clock_s, rate),
+        health=int(values["health"]),
+        group_delay_s=math.nan if delay_s is None or abs(delay_s) > _LARGEST_DELAY_S else delay_s,
+    )
+
+
+def _metres(values: Mapping[str, float], x: str, y: str, z: str) -> tuple[float, float, float]:
+    return values[x] * 1e3, values[y] * 1e3, values[z] * 1e3
+
+
+def _glonass_frame_ns(of_week_s: float | None, toe_ns: int) -> int:
+    """Return the time nearest to t_b; RINEX 3 has seconds of UTC's week, RINEX 2 of its day. Unknown: t_b."""
+    if of_week_s is None or not abs(of_week_s) < 2 * NS_PER_WEEK / NS_PER_SECOND:
+        return toe_ns
+    utc_ns = toe_ns - gps_minus_utc_s(toe_ns) * NS_PER_SECOND
+    since_ns = (round(of_week_s * NS_PER_SECOND) - utc_ns + NS_PER_DAY // 2) % NS_PER_DAY - NS_PER_DAY // 2
+    return toe_ns + since_ns
+
+
+def _quarter_of_day(toe_ns: int) -> int:
+    """Return t_b as the satellite sends it: quarters of an hour of GLONASS' day, UTC and three hours."""
+    utc_ns = toe_ns - gps_minus_utc_s(toe_ns) * NS_PER_SECOND
+    return (utc_ns // _QUARTER_NS + 12) % 96
 
 
 def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:

@@ -19,8 +19,8 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 
 T = TypeVar("T")
 
-SYSTEMS_SKIPPED = "RSI"
-"""GLONASS, SBAS, NavIC: their satellites are counted and skipped."""
+SYSTEMS_SKIPPED = "SI"
+"""SBAS, NavIC: their satellites are counted and skipped."""
 MAX_HEADER_LINES = 20_000
 """Chosen: bounds the work for a file without END OF HEADER; real ones have below 1,000."""
 _TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
@@ -34,6 +34,8 @@ _CODES_OF_VERSION_2 = {
     "J": {**dict.fromkeys(("C1", "L1", "D1", "S1"), "1C"), **dict.fromkeys(("C2", "L2", "D2", "S2"), "2X")},
     "E": {kind + band: band + "X" for kind in "CLDS" for band in "15678"},
     "C": {kind + band: band + "X" for kind in "CLDS" for band in "267"},
+    "R": {**dict.fromkeys(("C1", "L1", "D1", "S1"), "1C"), "P1": "1P", "C2": "2C"}
+    | dict.fromkeys(("P2", "L2", "D2", "S2"), "2P"),
 }
 """The signals of RINEX 2.11, 10.1.1: it does not name the tracking; as RTKLIB's `convcode` does (`rinex.c`)."""
 _CODES_OF_VERSION_2["G"] |= {kind + "5": "5X" for kind in "CLDS"}
@@ -252,8 +254,8 @@ class HeaderParser:
                 column = ObservationType(name=name)
             seen.add(column.kind + column.signal)
             columns.append(column)
-        if version_2 and system == "G":
-            columns += _columns_of_shared_phases(types.names)
+        if version_2 and system in "GR":
+            columns += _columns_of_shared_phases(types.names, system)
         return tuple(columns)
 
     def _column(self, system: str, name: str) -> ObservationType:
@@ -322,9 +324,9 @@ class HeaderParser:
         return number
 
 
-def _columns_of_shared_phases(types: list[str]) -> list[ObservationType]:
+def _columns_of_shared_phases(types: list[str], system: str) -> list[ObservationType]:
     return [
-        ObservationType(name=types[k], kind=types[k][0], signal=shared.signal)
+        ObservationType(name=types[k], kind=types[k][0], signal=shared.signals[system])
         for shared in shared_phases(types)
         for k in shared.columns
     ]

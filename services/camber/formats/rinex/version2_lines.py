@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 MAX_OBSERVATION_TYPES = 511
@@ -30,29 +30,33 @@ _NAVIGATION_EPOCH = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SharedPhases:
-    """Phase, Doppler and strength of a band of GPS, whose tracking RINEX 2 does not name.
+    """Phase, Doppler and strength of a band of GPS or GLONASS, whose tracking RINEX 2 does not name.
 
     They belong to the code of column `preferred` where it was observed, else to that of column `other`, if that was:
-    then they stand in columns of their own after all others, as `signal`. `columns` are theirs, by index.
+    then they stand in columns of their own after all others, as the signal
+    of their system. `columns` are theirs, by index.
     """
 
     preferred: int | None
     other: int
     columns: tuple[int, ...]
-    signal: str
+    signals: Mapping[str, str]
 
 
 def shared_phases(types: Sequence[str]) -> list[SharedPhases]:
-    """Return them for the types of a file: those of L1 are of C/A or P, those of L2 of P or L2C."""
+    """Return them for the types of a file: those of L1 are of C/A or P, those of L2 of P or L2C (GLONASS: C/A)."""
     # As RTKLIB chooses (`rinex.c`): C1 before P1, P2 before C2.
     return [
         SharedPhases(
             preferred=types.index(preferred) if preferred in types else None,
             other=types.index(other),
             columns=tuple(types.index(kind + band) for kind in "LDS" if kind + band in types),
-            signal=signal,
+            signals=signals,
         )
-        for band, preferred, other, signal in (("1", "C1", "P1", "1W"), ("2", "P2", "C2", "2X"))
+        for band, preferred, other, signals in (
+            ("1", "C1", "P1", {"G": "1W", "R": "1P"}),
+            ("2", "P2", "C2", {"G": "2X", "R": "2C"}),
+        )
         if other in types
     ]
 
@@ -221,7 +225,7 @@ class _EpochBlock:
 
     def _row(self, satellite: bytes, lines: list[bytes]) -> bytes:
         row = satellite + b"".join(line[:_LINE_COLUMNS].ljust(_LINE_COLUMNS) for line in lines)
-        if satellite[:1] == b"G" and self._types.shared:
+        if satellite[:1] in (b"G", b"R") and self._types.shared:
             row = self._with_shared_phases(row)
         beyond = b"".join(line[_LINE_COLUMNS:] for line in lines)
         if not beyond:
@@ -249,12 +253,12 @@ def _is_observed(cell: bytes) -> bool:
     return bool(cell[:14].strip(b" 0.-+"))
 
 
-def navigation_line(text: str) -> str:
-    """Return a line of a record of GPS's navigation file: the satellite's letter, four digits of the year."""
+def navigation_line(text: str, system: str) -> str:
+    """Return a line of a record of one system's navigation file: the satellite's letter, four digits of the year."""
     if not text[:3].strip():
         return f" {text}"
     head = _NAVIGATION_EPOCH.match(text)
     if head is None:
-        return f"G{text}"
+        return f"{system}{text}"
     number, year, time, second, numbers = head.groups()
-    return f"G{int(number):02d} {full_year(int(year))}{time} {second}{numbers}"
+    return f"{system}{int(number):02d} {full_year(int(year))}{time} {second}{numbers}"

@@ -1,12 +1,13 @@
 """RTCM 3.3 ephemeris messages: the order of their fields.
 
-Source: RTCM 10403.3, tables 3.5-21 (1019), 3.5-70 (1042), 3.5-72 (1044), 3.5-73 (1045), 3.5-74 (1046).
+Source: RTCM 10403.3, tables 3.5-21 (1019), 3.5-22 (1020), 3.5-70 (1042), 3.5-72 (1044), 3.5-73 (1045), 3.5-74 (1046).
 """
 
 from __future__ import annotations
 
-from camber.formats.broadcast.bit_fields import bits_to_bytes, pack_bits
+from camber.formats.broadcast.bit_fields import BitField, BitLayout, bits_to_bytes, pack_bits
 from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris
+from camber.formats.broadcast.glonass_strings import GLONASS_FIELDS
 from camber.formats.observations import Ephemeris
 
 _ORBIT = """
@@ -46,6 +47,15 @@ EPHEMERIS_MESSAGES = {
     for number, system, names, reserved_bits in _MESSAGES
 }
 """By message number: the system, its fields in order, and the number of reserved bits after them."""
+GLONASS_MESSAGE = 1020  # RTCM 10403.3, table 3.5-22
+GLONASS_MESSAGE_FIELDS = {**GLONASS_FIELDS, "satellite": BitField(6), "channel": BitField(5)}
+"""As in GLONASS' strings; DF040, `channel`, is the frequency channel plus 7."""
+GLONASS_LAYOUT: BitLayout = (
+    *("satellite", "channel", 1 + 1 + 2, "tk_hour", "tk_minute", "tk_half", "unhealthy", 1, "tb"),
+    *("vx_m_s", "x_m", "ax_m_s2", "vy_m_s", "y_m", "ay_m_s2", "vz_m_s", "z_m", "az_m_s2"),
+    *(1, "gamma", 2, "unhealthy_now", "tau_s", "delta_tau_s", 5 + 1 + 4, "day"),
+)
+"""Message 1020 after its number; what follows is not read."""
 
 
 def ephemeris_payloads(ephemeris: Ephemeris) -> list[bytes]:

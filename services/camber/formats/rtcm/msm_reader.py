@@ -1,6 +1,7 @@
 """MSM4 to MSM7 messages of RTCM 3.3 decoded to columns of observations.
 
-Source: RTCM 10403.3, 3.5.16, tables 3.5-78 to 3.5-88; DF402 (table 3.5-74), DF407 (table 3.5-75).
+Source: RTCM 10403.3, 3.5.16, tables 3.5-78 to 3.5-88; DF402 (table 3.5-74), DF407 (table 3.5-75), DF416, DF034 (epoch
+time of GLONASS), DF419 (its frequency channels).
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.broadcast.ephemeris_fields import gps_ns_near
-from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
-from camber.formats.rtcm.msm_signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
+from camber.formats.broadcast.glonass_time import gps_ns_of_week_day
+from camber.formats.observations import CHANNEL_STEP_HZ, SPEED_OF_LIGHT_M_S, Floats, Integers, signal_name
+from camber.formats.rtcm.msm_signals import GLONASS_MSM, METRES_PER_MS, MSM_SIGNALS_READ, MSM_SYSTEMS_READ
 from camber.formats.rtcm.msm_writer import (
     CN0_PER_DBHZ,
     MAX_CELLS,
@@ -31,12 +33,16 @@ _FIRST_MSM, _LAST_MSM = 1071, 1137
 _FIRST_KIND, _LAST_KIND = 4, 7
 _HEADER_BITS, _MASK_BITS = 73, 64 + 32
 _MS_PER_WEEK = 604_800_000  # DF004
-_SYSTEM_OF_TENS = {system.message // 10: k for k, system in enumerate(MSM_SYSTEMS)}
+_TIME_OF_DAY_BITS = 27  # DF034, after the three bits of DF416
+_MS_PER_DAY = 86_401_000  # DF034: with a leap second
+_UNKNOWN_DAY = 7  # DF416
+_CHANNEL_OFFSET, _HIGHEST_CHANNEL = 7, 13  # DF419: channels −7 to 6; 14 and 15 are no channel
+_SYSTEM_OF_TENS = {system.message // 10: k for k, system in enumerate(MSM_SYSTEMS_READ)}
 
 _COMPLETE, _TOO_SHORT, _WRONG_TIME, _WRONG_MASK, _TRUNCATED = range(5)
 _PROBLEMS = {
     _TOO_SHORT: f"MSM of less than {_HEADER_BITS} bits",
-    _WRONG_TIME: f"epoch time of {_MS_PER_WEEK} ms or more",
+    _WRONG_TIME: "epoch time after the end of the week or day",
     _WRONG_MASK: f"satellites that the system has not got, or more than {MAX_CELLS} cells",
     _TRUNCATED: "message ends before its last cell",
 }
@@ -83,24 +89,32 @@ def msm_header(payload: bytes) -> tuple[int, bool]:
     return (payload[1] & 15) << 8 | payload[2], bool(payload[6] & 2)
 
 
-def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
+def unknown_channels() -> Floats:
+    """Return the frequency channels (65,) of GLONASS' satellites by number, for `read_msm`: NaN, not known."""
+    return np.full(65, np.nan)
+
+
+def read_msm(payload: bytes, number: int, near_ns: int, channels: Floats) -> MsmMessage | None:
     """Decode an MSM in the week nearest to `near_ns`; None for systems and kinds that are not supported.
 
-    Raises ValueError where the message is inconsistent or truncated.
+    `channels` (65,) are those of GLONASS: MSM5 and MSM7 write them, and phase and Doppler are NaN without. Raises
+    ValueError where the message is inconsistent or truncated.
     """
     system, kind = _SYSTEM_OF_TENS.get(number // 10), number % 10
     if system is None or not _FIRST_KIND <= kind <= _LAST_KIND:
         return None
     station_id, more_follow = msm_header(payload)
-    letter = MSM_SYSTEMS[system].letter
+    letter, is_glonass = MSM_SYSTEMS_READ[system].letter, MSM_SYSTEMS_READ[system] is GLONASS_MSM
     integers, floats = np.empty((3, MAX_CELLS), np.int64), np.empty((6, MAX_CELLS))
-    status, time_ms, count, unknown = _read_cells(
+    status, epoch_time, count, unknown = _read_cells(
         payload=np.frombuffer(payload, np.uint8),
         kind=kind,
         first_satellite=ord(letter) << 8,
-        max_satellite=MSM_SYSTEMS[system].satellites,
+        max_satellite=MSM_SYSTEMS_READ[system].satellites,
         signal_of_id=_SIGNAL_OF_ID[system],
         carrier_of_id_hz=_CARRIER_OF_ID_HZ[system],
+        step_of_id_hz=_STEP_OF_ID_HZ[system],
+        channels=channels if is_glonass else _NO_CHANNELS,
         minimum_lock_s=_SHORT_LOCK_S if kind < 6 else _LONG_LOCK_S,
         integers=integers,
         floats=floats,
@@ -110,11 +124,26 @@ def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
     return MsmMessage(
         station_id=station_id,
         more_follow=more_follow,
-        time_ns=gps_ns_near(letter, time_ms * NS_PER_MS, near_ns),
+        time_ns=_glonass_time_ns(epoch_time, near_ns)
+        if is_glonass
+        else _time_ns(letter, epoch_time, near_ns),
         integers=integers[:, :count],
         floats=floats[:, :count],
         unknown_signals=unknown,
     )
+
+
+def _time_ns(system: str, epoch_time: int, near_ns: int) -> int:
+    if epoch_time >= _MS_PER_WEEK:
+        raise ValueError(_PROBLEMS[_WRONG_TIME])
+    return gps_ns_near(system, epoch_time * NS_PER_MS, near_ns)
+
+
+def _glonass_time_ns(epoch_time: int, near_ns: int) -> int:
+    day, of_day_ms = epoch_time >> _TIME_OF_DAY_BITS, epoch_time & (1 << _TIME_OF_DAY_BITS) - 1
+    if of_day_ms >= _MS_PER_DAY:
+        raise ValueError(_PROBLEMS[_WRONG_TIME])
+    return gps_ns_of_week_day(None if day == _UNKNOWN_DAY else day, of_day_ms * NS_PER_MS, near_ns)
 
 
 @compiled
@@ -125,11 +154,13 @@ def _read_cells(
     max_satellite: int,
     signal_of_id: Integers,
     carrier_of_id_hz: Floats,
+    step_of_id_hz: Floats,
+    channels: Floats,
     minimum_lock_s: Floats,
     integers: Integers,
     floats: Floats,
 ) -> tuple[int, int, int, int]:
-    """Fill the columns; return status, epoch time in ms of the week, number of rows, cells of unknown signals.
+    """Fill the columns; return status, epoch time (30 bits), number of rows, cells of unknown signals.
 
     A message is a sequence of columns, first of the satellites, then of the cells (tables 3.5-80 to 3.5-88).
     """
@@ -142,9 +173,7 @@ def _read_cells(
     size = 8 * payload.size
     if size < _HEADER_BITS + _MASK_BITS:
         return _TOO_SHORT, 0, 0, 0
-    time_ms = _unsigned(payload, 24, 30)
-    if time_ms >= _MS_PER_WEEK:
-        return _WRONG_TIME, 0, 0, 0
+    epoch_time = _unsigned(payload, 24, 30)
     numbers, satellites = np.empty(64, np.int64), 0
     for k in range(64):
         if _unsigned(payload, _HEADER_BITS + k, 1):
@@ -177,6 +206,7 @@ def _read_cells(
         return _TRUNCATED, 0, 0, 0
 
     # Indicators above 704 are reserved: such a lock is taken as the longest.
+    is_fdma = step_of_id_hz.any()
     longest_s = 0.0
     for least_s in minimum_lock_s:
         if np.isfinite(least_s):
@@ -187,8 +217,12 @@ def _read_cells(
         rough_ms = whole_ms + _unsigned(payload, rough_ranges + 10 * satellite, 10) / ROUGH_PER_MS
         if whole_ms == RANGE_MS_INVALID:
             rough_ms = np.nan
+        channel = channels[numbers[satellite]]
         rough_rate = np.nan
         if rates:
+            information = _unsigned(payload, whole_ranges + 8 * satellites + 4 * satellite, 4)
+            if is_fdma and information <= _HIGHEST_CHANNEL:
+                channel = channels[numbers[satellite]] = information - _CHANNEL_OFFSET
             rough_rate = float(_signed(payload, rough_rates + 14 * satellite, 14))
             if rough_rate == ROUGH_RATE_INVALID:
                 rough_rate = np.nan
@@ -196,9 +230,9 @@ def _read_cells(
             if not _unsigned(payload, mask + satellite * signals + signal, 1):
                 continue
             cell += 1
-            carrier_hz = carrier_of_id_hz[ids[signal]]
-            if np.isnan(carrier_hz):
+            if np.isnan(carrier_of_id_hz[ids[signal]]):
                 continue
+            carrier_hz = carrier_of_id_hz[ids[signal]] + channel * step_of_id_hz[ids[signal]]
             code_ms = rough_ms + _signed_or_nan(payload, codes + cell * code_width, code_width) / code_per_ms
             phase_ms = (
                 rough_ms + _signed_or_nan(payload, phases + cell * phase_width, phase_width) / phase_per_ms
@@ -218,7 +252,7 @@ def _read_cells(
             floats[4, row] = min(minimum_lock_s[lock], longest_s)
             floats[5, row] = minimum_lock_s[lock + 1]
             row += 1
-    return _COMPLETE, time_ms, row, cells - row
+    return _COMPLETE, epoch_time, row, cells - row
 
 
 @compiled
@@ -243,11 +277,16 @@ def _signed_or_nan(payload: Bytes, first: int, width: int) -> float:
     return np.nan if value == -(1 << (width - 1)) else float(value)
 
 
-def _tables_by_id() -> tuple[Integers, Floats]:
-    signal, carrier = np.zeros((len(MSM_SYSTEMS), 33), np.int64), np.full((len(MSM_SYSTEMS), 33), np.nan)
-    signal[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.keys & 0xFFFF
-    carrier[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.carriers_hz
-    return signal, carrier
+def _tables_by_id() -> tuple[Integers, Floats, Floats]:
+    shape, table = (len(MSM_SYSTEMS_READ), 33), MSM_SIGNALS_READ
+    signal, carrier, step = np.zeros(shape, np.int64), np.full(shape, np.nan), np.zeros(shape)
+    signal[table.system, table.ids] = table.keys & 0xFFFF
+    carrier[table.system, table.ids] = table.carriers_hz
+    fdma = table.keys >> 16 == ord(GLONASS_MSM.letter)
+    bands = [signal_name(key & 0xFFFF)[0] for key in table.keys[fdma].tolist()]
+    step[table.system[fdma], table.ids[fdma]] = [CHANNEL_STEP_HZ[band] for band in bands]
+    return signal, carrier, step
 
 
-_SIGNAL_OF_ID, _CARRIER_OF_ID_HZ = _tables_by_id()
+_SIGNAL_OF_ID, _CARRIER_OF_ID_HZ, _STEP_OF_ID_HZ = _tables_by_id()
+_NO_CHANNELS = np.zeros(65)

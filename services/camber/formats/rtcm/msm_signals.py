@@ -1,7 +1,7 @@
 """Message numbers, satellite counts and signal ids of RTCM 3 MSM messages.
 
-Source: RTCM 10403.3, tables 3.5-76 (messages), 3.5-91, 3.5-99, 3.5-105, 3.5-108 (signal ids); BeiDou's newer signals by
-amendment 1. Carriers by the systems' interface specifications, as in RINEX 3.04, tables 4 to 9.
+Source: RTCM 10403.3, tables 3.5-76 (messages), 3.5-91, 3.5-96, 3.5-99, 3.5-105, 3.5-108 (signal ids); BeiDou's newer
+signals by amendment 1. Carriers by the systems' interface specifications, as in RINEX 3.04, tables 4 to 9.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _SIGNAL_IDS = {
     "E": "2:1C 3:1A 4:1B 5:1X 6:1Z 8:6C 9:6A 10:6B 11:6X 12:6Z 14:7I 15:7Q 16:7X 18:8I 19:8Q 20:8X 22:5I 23:5Q 24:5X",
     "J": "2:1C 9:6S 10:6L 11:6X 15:2S 16:2L 17:2X 22:5I 23:5Q 24:5X 30:1S 31:1L 32:1X",
     "C": "2:2I 3:2Q 4:2X 8:6I 9:6Q 10:6X 14:7I 15:7Q 16:7X 22:5D 23:5P 24:5X 25:7D 30:1D 31:1P 32:1X",
+    "R": "2:1C 3:1P 8:2C 9:2P",
 }
 
 
@@ -46,11 +47,14 @@ MSM_SYSTEMS = (
     MsmSystem(letter="C", message=1127, satellites=63, gps_offset_ns=GPS_MINUS_BDT_NS),
 )
 """In the order in which their messages are sent."""
+GLONASS_MSM = MsmSystem(letter="R", message=1087, satellites=24)
+"""Read alone: a message gives phases in metres, and an epoch's observations do not name the frequency channels."""
+MSM_SYSTEMS_READ = (*MSM_SYSTEMS, GLONASS_MSM)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MsmSignals:
-    """The signals of all systems, sorted by `keys` (letter × 65536 + signal): index of the system, id, carrier."""
+    """The signals, sorted by `keys` (letter × 65536 + signal): index of the system, id, carrier."""
 
     keys: Integers
     system: Integers
@@ -64,14 +68,15 @@ class MsmSignals:
         return row, self.keys[row] == key
 
 
-def _signals() -> MsmSignals:
+def _signals(systems: tuple[MsmSystem, ...]) -> MsmSignals:
     table = sorted(
         ((ord(system.letter) << 16) + signal_number(name), k, int(number), carrier_hz(system.letter, name))
-        for k, system in enumerate(MSM_SYSTEMS)
+        for k, system in enumerate(systems)
         for number, name in (entry.split(":") for entry in _SIGNAL_IDS[system.letter].split())
     )
-    keys, systems, ids, carriers_hz = (np.array(column) for column in zip(*table, strict=True))
-    return MsmSignals(keys=keys, system=systems, ids=ids, carriers_hz=carriers_hz)
+    keys, system, ids, carriers_hz = (np.array(column) for column in zip(*table, strict=True))
+    return MsmSignals(keys=keys, system=system, ids=ids, carriers_hz=carriers_hz)
 
 
-MSM_SIGNALS = _signals()
+MSM_SIGNALS = _signals(MSM_SYSTEMS)
+MSM_SIGNALS_READ = _signals(MSM_SYSTEMS_READ)

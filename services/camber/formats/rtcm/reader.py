@@ -12,11 +12,24 @@ import numpy as np
 
 from camber.formats.broadcast.bit_fields import BitField, BitLayout, combine_parts, decode_layout
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
-from camber.formats.observations import MAX_SATELLITE_NUMBER, OBSERVABLES, Ephemeris, ObservationEpoch
+from camber.formats.broadcast.glonass_strings import glonass_ephemeris_from_integers
+from camber.formats.observations import (
+    GLONASS_CHANNELS,
+    MAX_SATELLITE_NUMBER,
+    OBSERVABLES,
+    Ephemeris,
+    GlonassEphemeris,
+    ObservationEpoch,
+)
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
-from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
-from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, msm_header, read_msm
+from camber.formats.rtcm.ephemeris_messages import (
+    EPHEMERIS_MESSAGES,
+    GLONASS_LAYOUT,
+    GLONASS_MESSAGE,
+    GLONASS_MESSAGE_FIELDS,
+)
+from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, msm_header, read_msm, unknown_channels
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 # Chosen, as bounds on memory: an epoch has 8 messages at most, a port one base station; beyond, the oldest goes.
@@ -56,7 +69,7 @@ class BaseStationEpoch:
     complete: bool
 
 
-RtcmResult = ReferenceStation | BaseStationEpoch | Ephemeris
+RtcmResult = ReferenceStation | BaseStationEpoch | Ephemeris | GlonassEphemeris
 
 
 class RtcmDecoder(FramedDecoder[RtcmResult]):
@@ -80,6 +93,7 @@ class RtcmDecoder(FramedDecoder[RtcmResult]):
         self._near_ns = near_ns
         self._messages: dict[int, list[MsmMessage]] = {}
         self._locks: dict[int, LossOfLockDetector] = {}
+        self._channels = unknown_channels()
 
     @property
     def stations(self) -> int:
@@ -108,13 +122,17 @@ class RtcmDecoder(FramedDecoder[RtcmResult]):
             return self._observations(payload, number)
         if number in EPHEMERIS_MESSAGES:
             return [_ephemeris(payload, number, self._near_ns)]
+        if number == GLONASS_MESSAGE:
+            ephemeris = _glonass_ephemeris(payload, self._near_ns)
+            self._channels[ephemeris.satellite & 255] = ephemeris.channel
+            return [ephemeris]
         if number in (1005, 1006):
             return [_reference_station(payload, number)]
         self.not_read += 1
         return []
 
     def _observations(self, payload: bytes, number: int) -> list[RtcmResult]:
-        message = read_msm(payload, number, self._near_ns)
+        message = read_msm(payload, number, self._near_ns, self._channels)
         if message is None:
             # The epoch may also end with a message of an unsupported system.
             self.not_read += 1
@@ -166,6 +184,16 @@ class RtcmDecoder(FramedDecoder[RtcmResult]):
             half_cycle=integers[2].astype(np.bool_),
         )
         return BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)
+
+
+def _glonass_ephemeris(payload: bytes, near_ns: int) -> GlonassEphemeris:
+    layout, width = (_NUMBER_BITS, *GLONASS_LAYOUT), 8 * len(payload)
+    fields = decode_layout(int.from_bytes(payload, "big"), width, layout, GLONASS_MESSAGE_FIELDS)
+    if not 1 <= fields["satellite"] <= MAX_SATELLITE_NUMBER["R"]:
+        raise ValueError(f"satellite {fields['satellite']} of R")
+    return glonass_ephemeris_from_integers(
+        fields, channel=fields["channel"] + GLONASS_CHANNELS.start, near_ns=near_ns
+    )
 
 
 def _integers(payload: bytes, layout: BitLayout, fields: Mapping[str, BitField]) -> dict[str, int]:

@@ -1,7 +1,7 @@
 """Ephemerides and ionosphere coefficients assembled from the subframes and pages of RXM-SFRBX.
 
 Sources: IS-GPS-200, 20.3.3.4.1 (issues of data), 20.3.3.5.1.7; Galileo OS SIS ICD, 5.1.9.2 (IODnav); BDS-SIS-ICD-B1I,
-5.2.4, 5.3.3; u-blox ZED-F9P, integration manual (UBX-18010802), 3.13.1 (words).
+5.2.4, 5.3.3; ICD GLONASS 5.1, 4.3 (frame); u-blox ZED-F9P, integration manual (UBX-18010802), 3.13.1 (words).
 """
 
 from __future__ import annotations
@@ -20,19 +20,26 @@ from camber.formats.broadcast.beidou_d1_d2 import (
 from camber.formats.broadcast.bit_fields import combine_parts
 from camber.formats.broadcast.ephemeris_fields import FIELDS, plausible_ephemeris
 from camber.formats.broadcast.galileo_inav import WORDS, decode_inav_page
+from camber.formats.broadcast.glonass_strings import (
+    STRINGS,
+    decode_string,
+    glonass_ephemeris_from_integers,
+)
 from camber.formats.broadcast.gps_lnav import BODIES, decode_lnav_subframe
 from camber.formats.broadcast.klobuchar_coefficients import (
     IONOSPHERE_FIELDS,
     IonosphereCoefficients,
     coefficients_from_integers,
 )
-from camber.formats.observations import MAX_SATELLITE_NUMBER, Ephemeris
+from camber.formats.observations import MAX_SATELLITE_NUMBER, BroadcastEphemeris, Ephemeris
 from camber.formats.ubx.signal_ids import GNSS_IDS
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
-SubframeResult = Ephemeris | IonosphereCoefficients
-# Signals by message: LNAV on L1 C/A, I/NAV on E1-B and E5b, D1 and D2 on B1I, B2I, B3I.
+SubframeResult = BroadcastEphemeris | IonosphereCoefficients
+# Signals by message: LNAV on L1 C/A, I/NAV on E1-B and E5b, D1 and D2 on B1I, B2I, B3I; GLONASS' strings on L1, L2.
 _LNAV_SIGNALS, _INAV_SIGNALS, _D1_SIGNALS, _D2_SIGNALS = (0,), (1, 5), (0, 2, 4), (1, 3, 10)
+_GLONASS_SIGNALS, _CHANNEL_OFFSET = (0, 2), 7  # UBX-18010854, 3.17.9: freqId is the frequency channel plus 7
+_FRAME_NS = 30 * NS_PER_SECOND  # ICD GLONASS 5.1, 4.3.2
 _SYSTEMS = {gnss_id: letter for letter, gnss_id in GNSS_IDS.items()}
 # RINEX 3.04, table A8: I/NAV from E1-B and E5b, with the clock of E5b, E1.
 _INAV_SOURCE = 517.0
@@ -41,12 +48,13 @@ _SECONDS_PER_WEEK = NS_PER_WEEK // NS_PER_SECOND
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SubframeWords:
-    """Content of an RXM-SFRBX message, in the numbers of u-blox."""
+    """Content of an RXM-SFRBX message, in the numbers of u-blox; `frequency_id` counts for GLONASS alone."""
 
     gnss_id: int
     satellite: int
     signal_id: int
     words: Sequence[int]
+    frequency_id: int = 0
 
 
 class EphemerisAssembler:
@@ -54,7 +62,8 @@ class EphemerisAssembler:
 
     An ephemeris is returned as soon as all its parts are there and consistent, then again only from new parts: once per
     frame. GPS and QZSS: subframes 1 to 3 with one issue of data. Galileo: words 1 to 4 with one IODnav, and the last
-    word 5. BeiDou does not number the issue in all parts: those of one period of 30 s.
+    word 5. BeiDou does not number the issue in all parts: those of one period of 30 s. GLONASS does in none: strings 1
+    to 4, one after another.
     """
 
     def __init__(self) -> None:
@@ -77,6 +86,8 @@ class EphemerisAssembler:
             return self._lnav(system, key, subframe.words, near_ns)
         if system == "E" and subframe.signal_id in _INAV_SIGNALS:
             return self._inav(key, subframe.words, near_ns)
+        if system == "R" and subframe.signal_id in _GLONASS_SIGNALS:
+            return self._glonass(key, subframe, near_ns)
         if system == "C" and subframe.signal_id in _D1_SIGNALS:
             part = decode_d1_subframe(subframe.words)
             return self._beidou(key, part, near_ns, numbers=(1, 2, 3), length_s=D1_SUBFRAME_S)
@@ -140,6 +151,26 @@ class EphemerisAssembler:
         parts = self._parts.setdefault(key, {})
         parts[part.number] = {n: value for n, value in part.fields.items() if n not in IONOSPHERE_FIELDS}
         return [*results, self._ephemeris("C", key, near_ns)] if len(parts) == len(numbers) else results
+
+    def _glonass(self, key: tuple[int, int], subframe: SubframeWords, near_ns: int) -> list[SubframeResult]:
+        number, fields = decode_string(subframe.words)
+        if number not in STRINGS:
+            return []
+        if number == 1:
+            self._parts[key], self._period_starts[key] = {}, near_ns
+        parts = self._parts.get(key, {})
+        in_turn = list(parts) == list(range(1, number))
+        if not in_turn or abs(near_ns - self._period_starts[key]) > _FRAME_NS:
+            self._parts.pop(key, None)
+            return []
+        parts[number] = fields
+        if number < len(STRINGS):
+            return []
+        integers = {name: value for part in self._parts.pop(key).values() for name, value in part.items()}
+        if integers["satellite"] != key[0] & 255:
+            raise ValueError(f"string 4 of satellite {integers['satellite']}, expected {key[0] & 255}")
+        channel = subframe.frequency_id - _CHANNEL_OFFSET
+        return [glonass_ephemeris_from_integers(integers, channel=channel, near_ns=near_ns)]
 
     def _ephemeris(self, system: str, key: tuple[int, int], near_ns: int) -> Ephemeris:
         """Return the ephemeris of all parts of the satellite, and remove them."""

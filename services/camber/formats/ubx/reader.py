@@ -10,7 +10,7 @@ import struct
 from dataclasses import replace
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.observations import Ephemeris
+from camber.formats.observations import BroadcastEphemeris
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import JAMMING, IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
@@ -25,7 +25,7 @@ from camber.schemas.gnss import ReceiverIntegrity
 
 UbxResult = (
     ReceiverEpoch
-    | Ephemeris
+    | BroadcastEphemeris
     | IonosphereCoefficients
     | ReceiverSolution
     | nav.ReceiverBaseline
@@ -58,7 +58,7 @@ class UbxMessages:
         self.without_time = 0
         """Messages without a week, before one was known."""
         self.other_systems = 0
-        """Measurements of GLONASS, SBAS, NavIC."""
+        """Measurements of SBAS, NavIC."""
         self.unknown_signals = 0
         """Measurements and satellites of NAV-SAT without a number in the interface description."""
         self.repeated_signals = 0
@@ -117,7 +117,13 @@ class UbxMessages:
             self.without_time += 1
             return []
         words = struct.unpack_from(f"<{payload[4]}I", payload, 8)
-        subframe = SubframeWords(gnss_id=payload[0], satellite=payload[1], signal_id=payload[2], words=words)
+        subframe = SubframeWords(
+            gnss_id=payload[0],
+            satellite=payload[1],
+            signal_id=payload[2],
+            words=words,
+            frequency_id=payload[3],
+        )
         try:
             results = self._subframes.take(subframe, self.near_ns)
         except ValueError:

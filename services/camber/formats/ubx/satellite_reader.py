@@ -18,7 +18,7 @@ _BLOCK = struct.Struct("<BBBbh2xI")
 _VERSION = 1  # NAV-SAT
 # By `gnssId`: system letter, greatest `svId`. Other systems have no numbers, nor has GLONASS' 255, "unknown".
 _SYSTEMS = {number: (letter, MAX_SATELLITE_NUMBER[letter]) for letter, number in GNSS_IDS.items()}
-_SYSTEMS |= {1: ("S", 158), 6: ("R", 32), 7: ("I", 14)}
+_SYSTEMS |= {1: ("S", 158), 7: ("I", 14)}
 _FIRST_SBAS = 120  # S20 in RINEX
 _CODE_LOCKED = 4  # `qualityInd`; below it the signal is searched for, or detected and of no use
 _UNHEALTHY = 2  # `health`

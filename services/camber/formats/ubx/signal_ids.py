@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from camber.formats.observations import MAX_SATELLITE_NUMBER, Integers, signal_number
 
-GNSS_IDS = {"G": 0, "E": 2, "C": 3, "J": 5}
+GNSS_IDS = {"G": 0, "E": 2, "C": 3, "J": 5, "R": 6}
 SIGNAL_IDS = {
     "G": {"1C": 0, "2L": 3, "2S": 4, "5I": 6, "5Q": 7},
     # Data and pilot tracked together have no id and are encoded as the pilot.
@@ -20,14 +20,18 @@ SIGNAL_IDS = {
     },
     "C": {"2I": 0, "7I": 2, "6I": 4, "1P": 5, "1D": 6, "5P": 7, "5D": 8},
     "J": {"1C": 0, "1Z": 1, "2S": 4, "2L": 5, "5I": 8, "5Q": 9},
+    "R": {"1C": 0, "2C": 2},
 }
 # B1I, B2I, B3I of geostationary satellites carry D2 and have other ids.
 _GEOSTATIONARY_IDS = {0: 1, 2: 3, 4: 10}
 GEOSTATIONARY_CYCLES = 0.5
 """Half cycle missing in u-blox' phases of geostationary satellites, compared with other receivers: RTKLIB adds it
 (`ublox.c`, from 2.4.3 on). The interface description does not mention it."""
+# GLONASS is read alone: RXM-RAWX names the frequency channel, which an epoch's observations do not.
 _KEYS = np.array(
-    sorted((ord(s) << 16) + signal_number(name) for s, names in SIGNAL_IDS.items() for name in names)
+    sorted(
+        (ord(s) << 16) + signal_number(name) for s, names in SIGNAL_IDS.items() for name in names if s != "R"
+    )
 )
 _IDS = np.array([SIGNAL_IDS[chr(key >> 16)][chr(key >> 8 & 255) + chr(key & 255)] for key in _KEYS.tolist()])
 _GNSS_ID = np.zeros(128, np.int64)

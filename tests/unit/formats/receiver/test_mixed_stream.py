@@ -254,7 +254,7 @@ def test_mixed_and_single_protocol_decoders_agree():
         results = mixed.feed(data) + mixed.finish()
         rtcm = b"".join(d for kind, d in frames_of(data) if kind == "rtcm")
         expected = [type(result).__name__ for result in alone.feed(rtcm) + alone.finish()]
-        names = {"ReferenceStation", "BaseStationEpoch", "Ephemeris"}
+        names = {"ReferenceStation", "BaseStationEpoch", "Ephemeris", "GlonassEphemeris"}
         assert [name for r in results if (name := type(r).__name__) in names] == expected
         ubx = UbxDecoder(path.name, START_NS)
         of_ubx = [type(result) for result in ubx.feed(data) + ubx.finish()]

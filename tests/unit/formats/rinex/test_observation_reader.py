@@ -256,18 +256,31 @@ def test_type_lines_continue_and_pseudo_observables_are_ignored():
     types = (
         "G   14 C1C L1C D1C S1C C2W L2W D2W S2W C5Q L5Q D5Q S5Q C1W",
         f"{'':6} S1W",
-        "R    1 C1C",
+        "R    3 C1C X1  C3X",
+        "S    1 C1C",
         "J    2 X1  C1C",
     )
-    text = header(types=types) + head(3)
+    text = header(types=types) + head(4)
     text += "G01" + "".join(cell(1000.0 + k) for k in range(14)) + "\n"
-    text += "R01" + cell(2e7) + "\nJ02" + cell(9.0) + cell(3.8e7) + "\n"
+    text += (
+        "R01"
+        + cell(2e7)
+        + cell(3.0)
+        + cell(4e7)
+        + "\nS20"
+        + cell(2e7)
+        + "\nJ02"
+        + cell(9.0)
+        + cell(3.8e7)
+        + "\n"
+    )
     (epoch,), errors, decoder = decode(text)
     assert not errors
-    assert decoder.header.signals == {"G": ("1C", "2W", "5Q", "1W"), "R": (), "J": ("1C",)}
+    assert decoder.header.signals == {"G": ("1C", "2W", "5Q", "1W"), "R": ("1C", "3X"), "S": (), "J": ("1C",)}
+    assert [rows_of(epoch)["R01", signal][0] for signal in ("1C", "3X")] == [2e7, 4e7]
     assert rows_of(epoch)["G01", "1W"] == (1012.0, None, None, 1013.0, False, False)
     assert rows_of(epoch)["J02", "1C"][0] == 3.8e7
-    assert decoder.skipped == {"R": 1}
+    assert decoder.skipped == {"S": 1}
 
 
 @pytest.mark.parametrize(
@@ -306,7 +319,7 @@ def test_time_systems_are_converted_to_gps_time(system, offset_s):
         (header(version=2.12), "test.obs:1: RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4"),
         (header(version=5.0), "RINEX version is '5.00', expected 2.0 to 2.11, 3 or 4"),
         (header().replace("OBSERVATION DATA", "N: GNSS NAV DATA"), "expected observation data"),
-        (header(types=("R    1 C1C",)), "expected one of the systems G, J, E, C"),
+        (header(types=("S    1 C1C",)), "expected one of the systems G, J, E, C, R"),
         (line("3.0", "CRINEX VERS   / TYPE"), "not its Hatanaka compression"),
         ("\x00\xff garbage\n", "expected 'RINEX VERSION / TYPE'"),
         ("x" * 100_000, "expected 'RINEX VERSION / TYPE'"),
@@ -577,11 +590,7 @@ def test_header_of_a_recording(name):
         assert header.leap_seconds == 18
         assert header.signals["C"] == ("2I", "7I", "6I")
         assert header.signals["G"] == ("1C", "2W", "2L", "5Q")
-        assert header.signals["R"] == ()
-
-
-def test_unsupported_satellites_are_counted():
-    assert dict(read_observations(recording(FILES[0])).skipped) == {"R": 2408}
+        assert header.signals["R"] == ("1C", "2C")
 
 
 def test_each_epoch_is_returned_with_its_last_byte():

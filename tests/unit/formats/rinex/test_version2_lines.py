@@ -52,10 +52,17 @@ CODES = {
         "C5": "C5X", "L5": "L5X", "D5": "D5X", "S5": "S5X",
     },
     "C": {"C2": "C2X", "L2": "L2X", "D2": "D2X", "S2": "S2X", "C7": "C7X", "L7": "L7X"},
+    "R": {
+        "C1": "C1C", "P1": "C1P", "L1": "L1C", "D1": "D1C", "S1": "S1C", "C2": "C2C", "P2": "C2P", "L2": "L2P",
+        "D2": "D2P", "S2": "S2P",
+    },
 }  # fmt: skip
 # Of GPS where P1 or C2 is there and the other code of the band is not.
-OTHER_CODES = {"L1": "L1W", "D1": "D1W", "S1": "S1W", "L2": "L2X", "D2": "D2X", "S2": "S2X"}
-NAMES = [f"{letter}{number:2d}" for letter in "GRE" for number in (1, 2, 5, 9, 11, 20, 24, 30)]
+OTHER_CODES = {
+    "G": {"L1": "L1W", "D1": "D1W", "S1": "S1W", "L2": "L2X", "D2": "D2X", "S2": "S2X"},
+    "R": {"L1": "L1P", "D1": "D1P", "S1": "S1P", "L2": "L2C", "D2": "D2C", "S2": "S2C"},
+}
+NAMES = [f"{letter}{number:2d}" for letter in "GRE" for number in (1, 2, 5, 9, 11, 20, 24)]
 
 
 def decode(text: str | bytes) -> tuple[list[ObservationEpoch], list[FormatError], RinexDecoder]:
@@ -86,8 +93,8 @@ def expected_values(epoch: Epoch2) -> dict[tuple[str, str], tuple[float, bool, b
         letter = name[0].replace(" ", "G")
         for kind, (value, lli, _) in cells.items():
             code = CODES.get(letter, {}).get(kind)
-            if letter == "G" and kind in OTHER_CODES and _belongs_to_the_other_code(cells, kind[1]):
-                code = OTHER_CODES[kind]
+            if letter in "GR" and kind in OTHER_CODES[letter] and _belongs_to_the_other_code(cells, kind[1]):
+                code = OTHER_CODES[letter][kind]
             if code is not None and value != 0.0:
                 digit = int(lli.strip() or "0") if code[0] == "L" else 0
                 table[f"{letter}{int(name[1:]):02d}", code] = (value, bool(digit & 1), bool(digit & 2))
@@ -126,7 +133,7 @@ def test_values_are_those_that_were_written(seed: int, count: int) -> None:
     assert not errors
     assert [e.time_ns for e in read] == [e.time_ns for e in written]
     assert [values(e) for e in read] == [expected_values(e) for e in written]
-    skipped = [name[0] for e in written for name in e.satellites if name[0] in "RS"]
+    skipped = [name[0] for e in written for name in e.satellites if name[0] == "S"]
     assert {k: n for k, n in decoder.skipped.items() if n} == {k: skipped.count(k) for k in set(skipped)}
     cuts = rng.sample(range(len(text)), 20)
     pieces = fed_in_pieces(RinexDecoder("test.05o"), text.encode(), cuts)
@@ -180,12 +187,9 @@ def three_epochs(**changes: int) -> list[Epoch2]:
 def test_satellites_without_a_letter_are_of_the_system_of_the_file(system: str, letter: str) -> None:
     first = "  2005     4     2     0     0    0.0000000     GPS"
     text = observation_text_2([one_satellite(START_NS, name="  5")], ["C1"], system=system, first=first)
-    epochs, errors, decoder = decode(text)
+    epochs, errors, _ = decode(text)
     assert not errors
-    if letter == "R":
-        assert decoder.skipped["R"] == 1
-    else:
-        assert list(values(epochs[0])) == [(f"{letter}05", "C1C" if letter == "G" else "C1X")]
+    assert list(values(epochs[0])) == [(f"{letter}05", "C1C" if letter in "GR" else "C1X")]
 
 
 def test_header_has_the_station_and_the_version() -> None:
@@ -405,6 +409,6 @@ def test_damaged_record_costs_only_itself() -> None:
 
 
 def test_navigation_file_of_another_system_is_refused_in_one_line() -> None:
-    text = navigation_text_2([]).replace("N: GPS NAV DATA     ", "G: GLONASS NAV DATA ")
+    text = navigation_text_2([]).replace("N: GPS NAV DATA     ", "H: GEO NAV MSG DATA ")
     results, _ = navigation(text)
-    assert results == ["test.05n:1: file type is 'G: GLONASS NAV DATA', expected navigation data (N)"]
+    assert results == ["test.05n:1: file type is 'H: GEO NAV MSG DATA', expected navigation data (N)"]

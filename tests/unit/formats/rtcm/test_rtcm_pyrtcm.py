@@ -19,29 +19,37 @@ from pyrtcm.rtcmtypes_get import RTCM_PAYLOADS_GET
 
 from camber.formats.broadcast.bit_fields import bits_to_bytes, pack_bits
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
-from camber.formats.observations import Ephemeris
+from camber.formats.observations import CHANNEL_STEP_HZ, Ephemeris, GlonassEphemeris
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
-from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, minimum_lock_s, read_msm
-from camber.formats.rtcm.msm_signals import MSM_SIGNALS, MSM_SYSTEMS
+from camber.formats.rtcm.msm_reader import (
+    MsmMessage,
+    is_msm,
+    minimum_lock_s,
+    read_msm,
+    unknown_channels,
+)
+from camber.formats.rtcm.msm_signals import MSM_SIGNALS_READ, MSM_SYSTEMS_READ
 from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
 from support.gnss_files import recording
+from support.random_msm import any_msm
 from support.random_observations import LIGHT_M_S, WEEK_NS
 
+DAY_NS = 86_400 * 1_000_000_000
 NOW_NS = 2300 * WEEK_NS + 100_000 * 1_000_000_000
 LOGS = (
     "rtcm-pygpsdata-NTRIP-1300-1302.log",
     "rtcm-pygpsdata-NTRIP-USCL00CHL0.log",
     "rtcm-pygpsdata-RTCM3.log",
 )
-TENS = {system.message // 10: place for place, system in enumerate(MSM_SYSTEMS)}
+TENS = {system.message // 10: place for place, system in enumerate(MSM_SYSTEMS_READ)}
 CARRIER_AND_SIGNAL = {
     (system, number): (hz, key & 0xFFFF)
     for system, number, hz, key in zip(
-        MSM_SIGNALS.system.tolist(),
-        MSM_SIGNALS.ids.tolist(),
-        MSM_SIGNALS.carriers_hz.tolist(),
-        MSM_SIGNALS.keys.tolist(),
+        MSM_SIGNALS_READ.system.tolist(),
+        MSM_SIGNALS_READ.ids.tolist(),
+        MSM_SIGNALS_READ.carriers_hz.tolist(),
+        MSM_SIGNALS_READ.keys.tolist(),
         strict=True,
     )
 }
@@ -72,7 +80,7 @@ def cells_by_pyrtcm(frame: bytes) -> tuple[list[list[Any]], int]:
     message = RTCMReader.parse(frame)
     number = int(message.identity)
     system, kind = TENS[number // 10], number % 10
-    letter = MSM_SYSTEMS[system].letter
+    letter = MSM_SYSTEMS_READ[system].letter
     fine = kind >= 6
     code_name, phase_name, lock_name, cn0_name = (
         ("DF405", "DF406", "DF407", "DF408") if fine else ("DF400", "DF401", "DF402", "DF403")
@@ -90,6 +98,11 @@ def cells_by_pyrtcm(frame: bytes) -> tuple[list[list[Any]], int]:
             unknown += 1
             continue
         hz, signal = CARRIER_AND_SIGNAL[system, signal_id]
+        if letter == "R":
+            # MSM5 and MSM7 name the channel; 14 and 15 are none.
+            known = kind in (5, 7) and integer(message, "DF419", place + 1) <= 13
+            channel = integer(message, "DF419", place + 1) - 7 if known else math.nan
+            hz += channel * CHANNEL_STEP_HZ[chr(signal >> 8)]
         whole_ms = integer(message, "DF397", place + 1)
         rough_ms = math.nan if whole_ms == 255 else whole_ms + integer(message, "DF398", place + 1) / 1024
         code, phase = integer(message, code_name, cell), integer(message, phase_name, cell)
@@ -123,15 +136,26 @@ def assert_equal_to_pyrtcm(frame: bytes, decoded: MsmMessage) -> None:
     message = RTCMReader.parse(frame)
     assert decoded.unknown_signals == unknown
     assert (decoded.station_id, decoded.more_follow) == (message.DF003, bool(message.DF393))
-    time = next(
-        getattr(message, name) for name in ("DF004", "DF248", "DF428", "DF427") if hasattr(message, name)
-    )
-    offset_ns = MSM_SYSTEMS[TENS[int(message.identity) // 10]].gps_offset_ns
-    assert (decoded.time_ns - offset_ns - time * 1_000_000) % WEEK_NS == 0
+    if hasattr(message, "DF034"):
+        assert_time_of_glonass(message.DF416, message.DF034, decoded.time_ns)
+        time = None
+    else:
+        time = next(
+            getattr(message, name) for name in ("DF004", "DF248", "DF428", "DF427") if hasattr(message, name)
+        )
+    offset_ns = MSM_SYSTEMS_READ[TENS[int(message.identity) // 10]].gps_offset_ns
+    assert time is None or (decoded.time_ns - offset_ns - time * 1_000_000) % WEEK_NS == 0
     theirs = np.array(rows, float).reshape(-1, 9).T
     np.testing.assert_array_equal(decoded.integers, theirs[:3])
     # Equal bits: not a number only where theirs is none.
     np.testing.assert_array_equal(decoded.floats, theirs[3:])
+
+
+def assert_time_of_glonass(day: int, of_day_ms: int, time_ns: int) -> None:
+    """UTC and three hours; 18 leap seconds. Of an unknown day (7) the time of day alone is known."""
+    glonass_ns = time_ns + (3 * 3600 - 18) * 1_000_000_000
+    period_ns = DAY_NS if day == 7 else WEEK_NS
+    assert (glonass_ns - (day % 7) * DAY_NS - of_day_ms * 1_000_000) % period_ns == 0
 
 
 def assert_ephemeris_equal_to_pyrtcm(frame: bytes, decoded: Ephemeris) -> None:
@@ -167,7 +191,7 @@ def test_recorded_messages_equal_those_of_pyrtcm(name: str) -> None:
     for frame in frames:
         number = frame[3] << 4 | frame[4] >> 4
         if is_msm(number):
-            message = read_msm(frame[3:-3], number, NOW_NS)
+            message = read_msm(frame[3:-3], number, NOW_NS, unknown_channels())
             if message is not None:
                 assert_equal_to_pyrtcm(frame, message)
                 read += 1
@@ -176,6 +200,8 @@ def test_recorded_messages_equal_those_of_pyrtcm(name: str) -> None:
             read += 1
             if isinstance(result, Ephemeris):
                 assert_ephemeris_equal_to_pyrtcm(frame, result)
+            elif isinstance(result, GlonassEphemeris):
+                assert number == 1020
             else:
                 assert isinstance(result, ReferenceStation)
                 message = RTCMReader.parse(frame)
@@ -186,35 +212,8 @@ def test_recorded_messages_equal_those_of_pyrtcm(name: str) -> None:
     assert decoder.malformed == decoder.bytes_skipped == 0
     numbers = [frame[3] << 4 | frame[4] >> 4 for frame in frames]
     msm = [number for number in numbers if number // 10 in TENS and number % 10 in (4, 5, 6, 7)]
-    others = [number for number in numbers if number in (1005, 1006, *EPHEMERIS_MESSAGES)]
+    others = [number for number in numbers if number in (1005, 1006, 1020, *EPHEMERIS_MESSAGES)]
     assert read == len(msm) + len(others)
-
-
-def any_msm(random: np.random.Generator, number: int) -> bytes:
-    """A well-formed message with random fields, including the codes of "unknown"."""
-    most = MSM_SYSTEMS[TENS[number // 10]].satellites
-    satellites = np.sort(
-        random.choice(np.arange(1, most + 1), int(random.integers(0, min(most, 20) + 1)), False)
-    )
-    signals = np.sort(random.choice(np.arange(1, 33), int(random.integers(1, 4)), False))
-    cells = random.random(satellites.size * signals.size) < 0.8
-    rates, fine = number % 2 == 1, number % 10 >= 6
-    code, phase, lock, cn0 = (20, 24, 10, 10) if fine else (15, 22, 4, 6)
-    widths_of_satellites = [8, 4, 10, 14] if rates else [8, 10]
-    widths = [code, phase, lock, 1, cn0, *([15] if rates else [])]
-    pairs = [(number, 12), (int(random.integers(0, 4096)), 12), (int(random.integers(0, 604_800_000)), 30)]
-    pairs += [(int(random.integers(0, 2)), 1), (0, 18)]
-    pairs += [(int(k in satellites), 1) for k in range(1, 65)] + [
-        (int(k in signals), 1) for k in range(1, 33)
-    ]
-    pairs += [(int(cell), 1) for cell in cells]
-    counts = [*((w, satellites.size) for w in widths_of_satellites), *((w, cells.sum()) for w in widths)]
-    for width, count in counts:
-        special = [0, 1 << (width - 1), (1 << width) - 1]
-        for _ in range(count):
-            value = random.integers(0, 1 << width) if random.random() < 0.9 else random.choice(special)
-            pairs.append((int(value), width))
-    return rtcm_frame(bits_to_bytes(*pack_bits(pairs)))
 
 
 @given(SEEDS)
@@ -223,7 +222,7 @@ def test_random_observations_equal_those_of_pyrtcm(seed: int) -> None:
     random = np.random.default_rng(seed)
     number = 10 * int(random.choice(list(TENS))) + int(random.integers(4, 8))
     frame = any_msm(random, number)
-    decoded = read_msm(frame[3:-3], number, NOW_NS)
+    decoded = read_msm(frame[3:-3], number, NOW_NS, unknown_channels())
     assert decoded is not None
     assert_equal_to_pyrtcm(frame, decoded)
 
@@ -253,4 +252,4 @@ def test_truncated_message_is_refused(seed: int) -> None:
     payload = any_msm(random, number)[3:-3]
     for size in {0, 1, 2, 8, 9, 20, len(payload) // 2, len(payload) - 1} & set(range(len(payload))):
         with pytest.raises(ValueError, match=r"MSM of less|ends before"):
-            read_msm(payload[:size], number, NOW_NS)
+            read_msm(payload[:size], number, NOW_NS, unknown_channels())

@@ -145,8 +145,8 @@ def test_epoch_is_returned_with_its_last_message_or_the_next_epoch():
     decoder = RtcmDecoder(NOW_NS)
     for frame in format_observations(one, station_id=1, more_follow=True):
         assert decoder.feed(frame) == []
-    glonass = rtcm_frame(bits_to_bytes(*pack_bits([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
-    (given_,) = decoder.feed(glonass)
+    sbas = rtcm_frame(bits_to_bytes(*pack_bits([(1107, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
+    (given_,) = decoder.feed(sbas)
     assert given_.complete
     assert decoder.not_read == 1
 

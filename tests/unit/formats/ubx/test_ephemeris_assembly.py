@@ -210,8 +210,8 @@ def test_other_navigation_messages_are_counted():
     for text in OTHER_MESSAGES:
         assert decoder.feed(bytes.fromhex(text)) == []
     assert (decoder.messages.not_read, decoder.messages.bad_subframes) == (3, 0)
-    glonass = ubx_frame(0x02, 0x13, bytes([6, 3, 0, 8, 4, 0, 2, 0]) + bytes(16))
-    assert decoder.feed(glonass) == []
+    navic = ubx_frame(0x02, 0x13, bytes([7, 3, 0, 8, 4, 0, 2, 0]) + bytes(16))
+    assert decoder.feed(navic) == []
     assert decoder.messages.not_read == 4
 
 
