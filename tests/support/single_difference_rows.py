@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from camber.gnss.observations.differenced_observations import SingleDifferences
 from camber.gnss.observations.signal_pairs import WAVELENGTH_M, group_of
 
-SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "7I")}
+SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "7I"), "R": ("1C", "2C")}
 
 
 @dataclass(frozen=True)

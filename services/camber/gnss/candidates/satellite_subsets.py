@@ -3,7 +3,8 @@
 Source: JP7707657B2, fifth embodiment. Every subset is tried, and every one that passes the tests is reported, with the
 number of others that agree with it and the number of trials. No height of road or map is used, so agreement is
 independent of height. The single differences of the epoch are reused. Of other epochs only the epoch's Doppler prior
-is used, which depends on no integers.
+is used, which depends on no integers. Satellites of GLONASS, which have none, are in every subset unless `excluded`:
+without one of them the integers are the same, and the agreement of the positions is no evidence.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from camber.formats.observations import Floats, Integers, satellite_name
 from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
 from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.observations.differenced_observations import SingleDifferences
-from camber.gnss.observations.signal_pairs import Booleans, systems_of
+from camber.gnss.observations.signal_pairs import SYSTEMS, Booleans, systems_of
 from camber.gnss.position.float_solution import NO_PRIOR, float_position, relative_to
 from camber.gnss.position.rtk_engine import Solution
 
@@ -113,24 +114,34 @@ def _subsets(
     if strategy == "explicit":
         return [given][:most] if given.sum() >= _LEAST_SATELLITES else []
     parts = _ALL if strategy == "all" else (strategy,)
-    orders = [_left_out(rows, place, given, part) for part in parts]
+    systems = np.zeros(given.size, np.int64)
+    systems[place] = systems_of(rows.group)
+    in_turn = given & (systems != SYSTEMS.index("R"))
+    orders = [
+        _left_out(rows, place, given, in_turn=in_turn, systems=systems, strategy=part) for part in parts
+    ]
     subsets: dict[bytes, Booleans] = {}
     for left_out in (one for turn in zip_longest(*orders) for one in turn if one is not None):
         if len(subsets) >= most:
             break
         subset = given & ~left_out
-        if subset.sum() >= _LEAST_SATELLITES:
+        if (subset & in_turn).sum() >= _LEAST_SATELLITES:
             subsets.setdefault(subset.tobytes(), subset)
     return list(subsets.values())
 
 
-def _left_out(rows: SingleDifferences, place: Integers, given: Booleans, strategy: Strategy) -> Booleans:
-    """Satellites left out by each trial (k, m) of one strategy, the most suspect first."""
+def _left_out(
+    rows: SingleDifferences,
+    place: Integers,
+    given: Booleans,
+    in_turn: Booleans,
+    systems: Integers,
+    strategy: Strategy,
+) -> Booleans:
+    """Satellites left out by each trial (k, m) of one strategy, the most suspect first; only those `in_turn` (m,)."""
     m = given.size
     if strategy == "leave_one_system_out":
-        systems = np.zeros(m, np.int64)
-        systems[place] = systems_of(rows.group)
-        of_system: Booleans = np.unique(systems[given])[:, None] == systems
+        of_system: Booleans = np.unique(systems[in_turn])[:, None] == systems
         return of_system
     merit = np.full(m, np.inf)
     if strategy in ("by_residual", "leave_one_out"):
@@ -138,7 +149,7 @@ def _left_out(rows: SingleDifferences, place: Integers, given: Booleans, strateg
     else:
         np.minimum.at(merit, place, rows.cn0_dbhz if strategy == "by_cn0" else rows.elevation_rad)
     worst_first = np.argsort(merit, kind="stable")
-    worst_first = worst_first[given[worst_first]]
+    worst_first = worst_first[in_turn[worst_first]]
     alone: Booleans = worst_first[:, None] == np.arange(m)
     return alone if strategy == "leave_one_out" else np.logical_or.accumulate(alone, axis=0)[:-1]
 

@@ -2,7 +2,9 @@
 
 A slip is indicated by the receiver's flag of a lost lock, by a lock time that decreased, by a change of the half-cycle
 state, by a jump of the geometry-free combination of two bands of one satellite (free of geometry and clocks), by a
-mismatch of phase and Doppler. A gap ends an arc too. Another code of the same band is another signal.
+mismatch of phase and Doppler. A gap ends an arc too. Another code of the same band is another signal. The channels
+of GLONASS' satellites are not known here: the wavelengths of its two bands are as 7 to 9 in every channel, but Doppler
+is not tested, as a step of the receiver's clock would be another one in each.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from camber.gnss.observations.signal_pairs import (
     band_of,
     columns_of,
     group_of,
+    has_integers,
 )
 
 REASONS = (
@@ -26,9 +29,9 @@ REASONS = (
 """Reasons for a new arc by number, in the order of the tests."""
 _CONTINUOUS, _NEW, _GAP, _FLAG, _LOCK, _HALF, _FREE, _DOPPLER = range(8)
 
-_SLOTS = 4 * 64 * 10 * 32  # systems, satellites, bands, codes
+_SLOTS = 5 * 64 * 10 * 32  # systems, satellites, bands, codes
 _PLACE = np.zeros(128, np.int64)
-_PLACE[[ord(letter) for letter in "GJEC"]] = np.arange(4)
+_PLACE[[ord(letter) for letter in "GJECR"]] = np.arange(5)
 # Chosen: a quarter of a wavelength; the ionosphere moves the combination by millimetres a second.
 _GEOMETRY_FREE_THRESHOLD_M = 0.05
 _LONGEST_FREE_S = 10.0  # chosen: at 5 mm/s the ionosphere would move it by the threshold in that time
@@ -145,6 +148,8 @@ def _test_signals(
             reason[i] = _LOCK
         elif phases.half_cycle[i] != states["half_cycle"][slot]:
             reason[i] = _HALF
+        if not has_integers(group_of(phases.satellite[i], phases.signal[i])):
+            continue
         predicted = -0.5 * (phases.doppler_hz[i] + states["doppler_hz"][slot]) * since_s
         mismatch_m[i] = (
             phases.carrier_phase_cycles[i] - states["phase_cycles"][slot] - predicted

@@ -5,6 +5,10 @@ clock and the troposphere are subtracted, which leaves `−u · dx + clock of th
 and dx the rover's offset from the approximate position. The clock of a group is common to its rows: differences within
 a group are double differences (Kikuchi (TUMSAT): `L = ρ + λ n + ε`, `P = ρ + ε`). Solutions from satellite subsets use
 the same rows.
+
+Phases of GLONASS are left out. Their carriers differ, so that a double difference has no integer, and receivers of
+different makers have phase biases that differ from channel to channel. Float ambiguities, one a satellite, would take
+all that the phases of one epoch contain.
 """
 
 from __future__ import annotations
@@ -22,12 +26,20 @@ from camber.gnss.observations.satellite_states import (
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import GROUPS, L1_M, WAVELENGTH_M, SignalColumns, SignalPairs
+from camber.gnss.observations.signal_pairs import (
+    GROUPS,
+    L1_M,
+    WAVELENGTH_M,
+    SignalColumns,
+    SignalPairs,
+    has_integers,
+)
 from camber.gnss.position.small_algebra import inner
 
 
 class SingleDifferences(NamedTuple):
-    """Columns (n,) of one epoch; `direction` (n, 3) is −u in ECEF. A NaN phase is missing or not usable.
+    """Columns (n,) of one epoch; `direction` (n, 3) is −u in ECEF. A NaN phase is missing, not usable,
+    or of GLONASS.
 
     `rover` and `base` are the differenced rows of their epochs. `atmosphere_m2` (3, 3) is not a column: the covariance
     in ECEF of the atmosphere's effect on a position, which does not shrink with the number of rows.
@@ -81,7 +93,8 @@ class Noise(NamedTuple):
     The background is multipath; the noise grows as the signal weakens, by 10^((45 − C/N0) / 20). `ionosphere`: residual
     per metre of baseline on the first band. `satellite_clock` [s/s]: drift against the broadcast clock between the
     epochs of base and rover. `horizontal`, `vertical`: effect of the atmosphere on a fixed position per metre of
-    baseline, as in receivers' data sheets (1 ppm, 2 ppm).
+    baseline, as in receivers' data sheets (1 ppm, 2 ppm). `glonass_code`: factor of the code's σ for GLONASS, whose
+    delays differ from channel to channel in each receiver; as RTKLIB's (`EFACT_GLO`).
     """
 
     code_background_m: float = 0.20
@@ -92,6 +105,7 @@ class Noise(NamedTuple):
     satellite_clock: float = 5.0e-12
     horizontal: float = 1.0e-6
     vertical: float = 2.0e-6
+    glonass_code: float = 1.5
 
 
 class Masks(NamedTuple):
@@ -195,7 +209,9 @@ def single_differences(
         rows.satellite[a], rows.group[a], rows.wavelength_m[a] = rover_rows.satellite[r], group, wavelength
         rows.code_m[a] = rover_rows.pseudorange_m[r] - base_rows.pseudorange_m[b] - model_m[k]
         cycles = rover_rows.carrier_phase_cycles[r] - base_rows.carrier_phase_cycles[b]
-        rows.phase_m[a] = cycles * wavelength - model_m[k]
+        integers = has_integers(group)
+        rows.phase_m[a] = cycles * wavelength - model_m[k] if integers else np.nan
+        code_factor = 1.0 if integers else noise.glonass_code
         for axis in range(3):
             rows.direction[a, axis] = -direction[k, axis]
         scatter = (ionosphere_m * (wavelength / L1_M) ** 2) ** 2 / sine[k] ** 2
@@ -204,7 +220,7 @@ def single_differences(
         rows.phase_variance_m2[a] = scatter
         for level in (rover_rows.cn0_dbhz[r], base_rows.cn0_dbhz[b]):
             rows.code_variance_m2[a] += variance_m2(
-                noise.code_background_m, noise.code_noise_m, sine[k], level
+                code_factor * noise.code_background_m, code_factor * noise.code_noise_m, sine[k], level
             )
             rows.phase_variance_m2[a] += variance_m2(
                 noise.phase_background_m, noise.phase_noise_m, sine[k], level

@@ -11,13 +11,17 @@ import numpy as np
 from camber.compiled.decorator import compiled
 from camber.formats.observations import (
     CARRIER_OF_BAND_HZ,
+    GLONASS_CHANNELS,
     SPEED_OF_LIGHT_M_S,
+    BroadcastEphemeris,
     Ephemeris,
+    GlonassEphemeris,
     Integers,
     satellite_name,
 )
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
-from camber.gnss.observations.satellite_states import ELEMENTS, EphemerisTable
+from camber.gnss.observations.glonass_orbit import STATE
+from camber.gnss.observations.satellite_states import AF0_S, AF1, ELEMENTS, EphemerisTable
 from camber.gnss.observations.signal_pairs import MOST_BANDS
 
 Refusal = Literal["system", "not_finite", "orbit", "clock", "times", "unhealthy"]
@@ -26,9 +30,10 @@ MissingReason = Literal["none", "too_old", "unhealthy"]
 """Why a satellite has no row: none received, |t − toe| beyond the limit, or the one to be used says unhealthy."""
 
 _HOUR_NS = 3600 * NS_PER_SECOND
-OLDEST_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": 4 * _HOUR_NS, "C": 6 * _HOUR_NS}
+OLDEST_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": 4 * _HOUR_NS, "C": 6 * _HOUR_NS, "R": _HOUR_NS // 2}
 """Greatest |t − toe|: GPS and QZSS half of the nominal fit interval (IS-GPS-200N, 20.3.4.4), Galileo 4 h (Galileo OS
-SDD 1.3, C.4.4.1), BeiDou 6 h, longer than its nominal hour, as receivers do while a satellite is out of view."""
+SDD 1.3, C.4.4.1), BeiDou 6 h, longer than its nominal hour, as receivers do while a satellite is out of view. GLONASS
+half an hour: twice the nominal quarter (ICD GLONASS 5.1, A.3.1.2), until the next set has been received."""
 _FARTHEST_TRANSMISSION_NS = 12 * _HOUR_NS  # chosen: twice the longest age
 _NEVER_NS = 2**63 - 1  # end of int64
 _INAV, _FNAV = 0, 1
@@ -39,9 +44,11 @@ _HEALTHY, _SYSTEM_IS_GALILEO, _KIND, _LIMIT_NS = range(4)
 class _EphemerisRow(NamedTuple):
     """An ephemeris and its row of the table."""
 
-    ephemeris: Ephemeris
+    ephemeris: BroadcastEphemeris
     elements: tuple[float, ...]
     group_delay_s: tuple[float, ...]
+    state: tuple[float, ...]
+    channel: int
 
 
 def gravity_m3_s2(system: str) -> float:
@@ -49,17 +56,20 @@ def gravity_m3_s2(system: str) -> float:
     return 3.9860050e14 if system in "GJ" else 3.986004418e14
 
 
-def is_healthy(ephemeris: Ephemeris) -> bool:
+def is_healthy(ephemeris: BroadcastEphemeris) -> bool:
     """Whether the health bits are clear; QZSS's lowest bit is that of LEX (now L1C/B), which is not used here."""
     return ephemeris.health & (~1 if chr(ephemeris.satellite >> 8) == "J" else ~0) == 0
 
 
-def refusal(ephemeris: Ephemeris) -> Refusal | None:
+def refusal(ephemeris: BroadcastEphemeris) -> Refusal | None:
     """Why an ephemeris is implausible, if so; health is not considered."""
     e = ephemeris
     known = 0 < e.satellite < _SATELLITES and chr(e.satellite >> 8) in OLDEST_NS
-    if not (known and 0 < e.satellite & 255 < 100):
+    of_its_system = (chr(e.satellite >> 8) == "R") == isinstance(e, GlonassEphemeris) if known else False
+    if not (of_its_system and 0 < e.satellite & 255 < 100):
         return "system"
+    if isinstance(e, GlonassEphemeris):
+        return _refusal_of_glonass(e)
     values = (
         e.sqrt_a, e.eccentricity, e.inclination_rad, e.inclination_rate_rad_s, e.ascending_node_rad,
         e.ascending_node_rate_rad_s, e.perigee_rad, e.mean_anomaly_rad, e.mean_motion_difference_rad_s,
@@ -75,6 +85,19 @@ def refusal(ephemeris: Ephemeris) -> Refusal | None:
     sent_ns = e.transmission_ns if e.transmission_ns > 0 else e.toe_ns  # optional in RINEX
     far = max(abs(e.toe_ns - sent_ns), abs(e.toe_ns - e.toc_ns)) > _FARTHEST_TRANSMISSION_NS
     return "times" if far else None
+
+
+def _refusal_of_glonass(e: GlonassEphemeris) -> Refusal | None:
+    if not all(map(math.isfinite, (*e.position_m, *e.velocity_m_s, *e.acceleration_m_s2, *e.clock))):
+        return "not_finite"
+    # Circular orbits of 25,500 km, 3.95 km/s, less the earth's rotation; five bits of acceleration.
+    radius_m, speed_m_s = math.hypot(*e.position_m), math.hypot(*e.velocity_m_s)
+    if not (2.4e7 < radius_m < 2.7e7 and speed_m_s < 6e3 and math.hypot(*e.acceleration_m_s2) < 1e-4):
+        return "orbit"
+    if e.channel not in GLONASS_CHANNELS or not (abs(e.clock[0]) < 0.1 and abs(e.clock[1]) < 1e-6):
+        return "clock"
+    sent_ns = e.transmission_ns if e.transmission_ns > 0 else e.toe_ns
+    return "times" if abs(e.toe_ns - sent_ns) > _FARTHEST_TRANSMISSION_NS else None
 
 
 class EphemerisStore:
@@ -103,7 +126,7 @@ class EphemerisStore:
     def __len__(self) -> int:
         return sum(map(len, self._sets.values()))
 
-    def add(self, ephemeris: Ephemeris) -> Refusal | None:
+    def add(self, ephemeris: BroadcastEphemeris) -> Refusal | None:
         """Add one; None, or why it is not used. Repetitions are ignored, a newer transmission replaces the old."""
         reason = refusal(ephemeris)
         if reason is not None:
@@ -111,7 +134,7 @@ class EphemerisStore:
             return reason
         sets = self._sets.setdefault((ephemeris.satellite, _kind(ephemeris)), [])
         state: Refusal | None = None if is_healthy(ephemeris) else "unhealthy"
-        for place, (other, _, _) in enumerate(sets):
+        for place, (other, *_) in enumerate(sets):
             if (other.toe_ns, other.toc_ns) != (ephemeris.toe_ns, ephemeris.toc_ns):
                 continue
             # Two sources round the numbers differently: the issue of data identifies a set.
@@ -169,23 +192,30 @@ class EphemerisStore:
         self._table = _table([row for row, _ in ordered])
         flags = [
             (is_healthy(e), chr(e.satellite >> 8) == "E", kind, OLDEST_NS[chr(e.satellite >> 8)])
-            for (e, _, _), kind in ordered
+            for (e, *_), kind in ordered
         ]
         self._flags = np.array(flags, np.int64).reshape(-1, 4)
         self._changed = False
         self._from_ns, self._until_ns = 0, -1
 
 
-def _kind(ephemeris: Ephemeris) -> int:
+def _kind(ephemeris: BroadcastEphemeris) -> int:
     """RINEX 3.04, table A8: bit 0 I/NAV of E1-B, bit 1 F/NAV, bit 2 I/NAV of E5b-I. Without it, I/NAV."""
+    if isinstance(ephemeris, GlonassEphemeris):
+        return _INAV
     sources = ephemeris.other.get("data_sources", math.nan)
     return _FNAV if math.isfinite(sources) and int(sources) & 0b111 == 0b010 else _INAV
 
 
-def _row(ephemeris: Ephemeris) -> _EphemerisRow:
+def _row(ephemeris: BroadcastEphemeris) -> _EphemerisRow:
     delays = group_delays_s(ephemeris)
     by_band = tuple(delays.get(str(band), math.nan) for band in range(MOST_BANDS))
-    return _EphemerisRow(ephemeris, _elements(ephemeris), by_band)
+    if isinstance(ephemeris, GlonassEphemeris):
+        state = (*ephemeris.position_m, *ephemeris.velocity_m_s, *ephemeris.acceleration_m_s2)
+        elements = _clock_elements(ephemeris)
+        return _EphemerisRow(ephemeris, elements, by_band, state=state, channel=ephemeris.channel)
+    no_state = (math.nan,) * STATE
+    return _EphemerisRow(ephemeris, _elements(ephemeris), by_band, state=no_state, channel=0)
 
 
 def _table(rows: list[_EphemerisRow]) -> EphemerisTable:
@@ -195,7 +225,15 @@ def _table(rows: list[_EphemerisRow]) -> EphemerisTable:
         toc_ns=np.array([row.ephemeris.toc_ns for row in rows], np.int64),
         elements=np.array([row.elements for row in rows], np.float64).reshape(-1, ELEMENTS),
         group_delay_s=np.array([row.group_delay_s for row in rows], np.float64).reshape(-1, MOST_BANDS),
+        state=np.array([row.state for row in rows], np.float64).reshape(-1, STATE),
+        channel=np.array([row.channel for row in rows], np.int64),
     )
+
+
+def _clock_elements(e: GlonassEphemeris) -> tuple[float, ...]:
+    """The columns of the clock alone."""
+    clock = {AF0_S: e.clock[0], AF1: e.clock[1]}
+    return tuple(clock.get(column, math.nan) for column in range(ELEMENTS))
 
 
 def _elements(e: Ephemeris) -> tuple[float, ...]:
@@ -225,15 +263,17 @@ def _elements(e: Ephemeris) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def group_delays_s(ephemeris: Ephemeris) -> dict[str, float]:
+def group_delays_s(ephemeris: BroadcastEphemeris) -> dict[str, float]:
     """Group delay of code against the broadcast clock [s] by band; bands without a known delay are omitted.
 
     GPS, QZSS: γ TGD (IS-GPS-200N, 20.3.3.3.3.2), where γ = (f₁/f)²; inter-signal corrections (ISC) are not
     in these messages. Galileo: I/NAV's clock is that of E1 and E5b, F/NAV's that of E1 and E5a without ionosphere (OS
     SIS ICD 2.1, 5.1.5): of the first signal BGD, of the second γ BGD, of the third, where both BGD are known, from
     their definition BGD(E1, x) = (τ₁ − τₓ)/(1 − γₓ). BeiDou: B1I TGD1, B2I TGD2, B3I none (BDS-SIS-ICD-B1I,
-    5.2.4.10); the other bands are scaled from B1I.
+    5.2.4.10); the other bands are scaled from B1I. GLONASS: the clock is that of L1, L2 has Δτ_n (ICD 5.1, 4.4).
     """
+    if isinstance(ephemeris, GlonassEphemeris):
+        return {"1": 0.0} | ({"2": ephemeris.group_delay_s} if math.isfinite(ephemeris.group_delay_s) else {})
     system, other = chr(ephemeris.satellite >> 8), ephemeris.other
     carriers = CARRIER_OF_BAND_HZ[system]
     first = "2" if system == "C" else "1"

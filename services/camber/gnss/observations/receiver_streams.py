@@ -12,7 +12,7 @@ from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficien
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import LineBuffer
 from camber.formats.nmea.epochs import NmeaDecoder
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import BroadcastEphemeris, ObservationEpoch
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
@@ -45,7 +45,7 @@ class StationPosition:
 
 DecodedItem = (
     ObservationEpoch
-    | Ephemeris
+    | BroadcastEphemeris
     | IonosphereCoefficients
     | StationPosition
     | ReceiverSolution

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import Ephemeris, GlonassEphemeris, ObservationEpoch
 from camber.gnss.candidates.engine_candidates import RecentEpochs
 from camber.gnss.observations.base_move_detection import BaseWatch
 from camber.gnss.observations.receiver_streams import DecodedItem, StationPosition, Stream
@@ -62,7 +62,7 @@ class Rover:
                 self.engine.add_base(item)
             case ObservationEpoch() if stream == "rover":
                 self._pending.append(item)
-            case Ephemeris():
+            case Ephemeris() | GlonassEphemeris():
                 self.engine.add_ephemeris(item)
             case IonosphereCoefficients() if item.system == "G":
                 self.engine.ionosphere = np.array((*item.alpha, *item.beta))

@@ -2,7 +2,7 @@
 
 Sources: IS-GPS-200N, table 20-IV (orbit), 20.3.3.3.3.1 (clock, relativistic term); B. Remondi, "Computing satellite
 velocity using the broadcast ephemeris", GPS Solutions 8 (2004); BDS-SIS-ICD-B1I 3.0, 5.2.4.12 (geostationary
-satellites); Galileo OS SIS ICD 2.1, 5.1.1; IS-QZSS-PNT-004, 5.5.1 (as GPS).
+satellites); Galileo OS SIS ICD 2.1, 5.1.1; IS-QZSS-PNT-004, 5.5.1 (as GPS); ICD GLONASS 5.1, 3.3.3 (clock).
 
 Times stay integers until a reference time has been subtracted: the rest, some hours, fits a double to 4e-12 s.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.geodesy.ellipsoid import MINIMUM_RADIUS_M, latitude_height
+from camber.gnss.observations.glonass_orbit import integrate_state
 
 EARTH_ROTATION_RAD_S = 7.2921151467e-5
 """IS-GPS-200N, for the frame of ranges; orbits use their system's rate, a column of the table."""
@@ -29,6 +30,7 @@ EARTH_ROTATION_RAD_S = 7.2921151467e-5
 """Columns of `elements`. `MEAN_MOTION_RAD_S` is the corrected one, `RELATIVITY_S` is F e √A."""
 ELEMENTS = 24  # columns, as above
 
+_GLONASS = ord("R")
 _KEPLER_STEPS = 10  # Newton's method squares the error: three suffice for e < 0.1; the store refuses e ≥ 0.5
 _KEPLER_RAD = 1.0e-14  # derived: 0.3 µm of orbit
 _SIN_TILT, _COS_TILT = math.sin(math.radians(-5.0)), math.cos(math.radians(-5.0))
@@ -36,13 +38,19 @@ _latitude_height = compiled(latitude_height)
 
 
 class EphemerisTable(NamedTuple):
-    """Broadcast ephemerides as r rows: `elements` (r, 24), `group_delay_s` (r, 10) by band, NaN where unknown."""
+    """Broadcast ephemerides as r rows: `elements` (r, 24), `group_delay_s` (r, 10) by band, NaN where unknown.
+
+    `state` (r, 9): of GLONASS, as in `glonass_orbit`, with AF0_S and AF1 its only elements; else NaN. `channel` (r,):
+    its frequency channel, else 0.
+    """
 
     satellite: Integers
     toe_ns: Integers
     toc_ns: Integers
     elements: Floats
     group_delay_s: Floats
+    state: Floats
+    channel: Integers
 
 
 class SatelliteStates(NamedTuple):
@@ -50,13 +58,15 @@ class SatelliteStates(NamedTuple):
 
     `position_m`, `velocity_m_s` (m, 3): antenna's phase centre, ECEF of the **time of transmission**, not turned.
     `clock_s` (m,): satellite's clock minus its system's time (GPS time, BeiDou's too), with the relativistic term,
-    without group delays; `clock_rate` (m,).
+    without group delays; `clock_rate` (m,). GLONASS' γ_n contains the relativistic term;
+    `channel` (m,) is its frequency channel, 0 for others.
     """
 
     position_m: Floats
     velocity_m_s: Floats
     clock_s: Floats
     clock_rate: Floats
+    channel: Floats
 
 
 @compiled
@@ -71,21 +81,27 @@ def states_at_transmission(
     """
     m = rows.size
     position, velocity = np.empty((m, 3)), np.empty((m, 3))
-    clock, clock_rate = np.empty(m), np.empty(m)
+    clock, clock_rate, channel = np.empty(m), np.empty(m), np.empty(m)
     for k in range(m):
         row = rows[k]
         travel_s = pseudorange_m[k] / SPEED_OF_LIGHT_M_S
         # No satellite is a light second away; NaN fails too.
         if row < 0 or row >= table.toe_ns.size or not abs(travel_s) < 1.0:
             position[k, :], velocity[k, :] = np.nan, np.nan
-            clock[k], clock_rate[k] = np.nan, np.nan
+            clock[k], clock_rate[k], channel[k] = np.nan, np.nan, np.nan
             continue
         since_toe_s = (receive_time_ns - table.toe_ns[row]) / 1e9 - travel_s
         since_toc_s = (receive_time_ns - table.toc_ns[row]) / 1e9 - travel_s
+        channel[k] = table.channel[row]
+        if table.satellite[row] >> 8 == _GLONASS:
+            clock[k], clock_rate[k] = table.elements[row, AF0_S], table.elements[row, AF1]
+            clock[k] += clock_rate[k] * since_toe_s
+            integrate_state(table.state[row], since_toe_s - clock[k], position[k], velocity[k])
+            continue
         clock[k], clock_rate[k] = _state(
             table.elements[row], since_toe_s, since_toc_s, position=position[k], velocity=velocity[k]
         )
-    return SatelliteStates(position, velocity, clock, clock_rate)
+    return SatelliteStates(position, velocity, clock, clock_rate=clock_rate, channel=channel)
 
 
 @compiled

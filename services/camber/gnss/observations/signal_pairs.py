@@ -1,9 +1,9 @@
 """Signals of rover and base that are differenced with one another.
 
-A group shares a carrier, a clock and its delays: system (GPS with QZSS, Galileo, BeiDou; Kikuchi (TUMSAT) forms double
-differences per system), band, and family of codes. The parts of one signal and their sum (`2S` `2L` `2X`) may be
-differenced; another signal of the same band (`2W`) has a different delay in each receiver, and receivers of different
-make disagree about its quarter of a cycle.
+A group shares a carrier, a clock and its delays: system (GPS with QZSS, Galileo, BeiDou, GLONASS; Kikuchi (TUMSAT)
+forms double differences per system), band, and family of codes. Satellites of GLONASS share a clock, their carriers
+differ. The parts of one signal and their sum (`2S` `2L` `2X`) may be differenced; another signal of the same band
+(`2W`) has a different delay in each receiver, and receivers of different make disagree about its quarter of a cycle.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.formats.observations import (
     CARRIER_OF_BAND_HZ,
+    CHANNEL_STEP_HZ,
     SPEED_OF_LIGHT_M_S,
     Floats,
     Integers,
@@ -26,10 +27,11 @@ from camber.formats.observations import (
 
 Booleans = NDArray[np.bool_]
 
-SYSTEMS = "GEC"
+SYSTEMS = "GECR"
 """Systems with a receiver clock each; QZSS belongs to GPS. A group's number is (10 · index + band) · 4 + family."""
 _MOST_FAMILIES = 4  # families of codes that the numbering of groups has room for
 MOST_BANDS = 10  # a band is the digit of a signal's code (RINEX 3.04)
+_FDMA = SYSTEMS.index("R")
 GROUPS = len(SYSTEMS) * MOST_BANDS * _MOST_FAMILIES
 
 _FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
@@ -37,8 +39,10 @@ _FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
     "J": {"1": ("C", "SLX", "EB"), "2": ("SLX",), "5": ("IQX", "DP")},
     "E": {"1": ("ABCXZ",), "5": ("IQX",), "7": ("IQX",), "8": ("IQX",), "6": ("ABCXZ",)},
     "C": {"1": ("DPX", "A"), "2": ("IQX",), "5": ("DPX",), "7": ("IQX", "DPZ"), "8": ("DPX",), "6": ("IQX", "DPZ")},
+    "R": {"1": ("C", "P"), "2": ("C", "P")},
 }  # fmt: skip
-"""Codes by system and band (RINEX 4.01, tables 10 to 16), the family that is tracked best comes first."""
+"""Codes by system and band (RINEX 4.01, tables 10 to 16), the family that is tracked best comes first. Of GLONASS those
+with frequency channels."""
 
 
 def _family_table() -> NDArray[np.int8]:
@@ -60,12 +64,15 @@ def _carriers() -> Floats:
 
 _FAMILY = _family_table()
 CARRIER_HZ = _carriers()
-"""By system letter and band (128, 10); NaN for a band that the system has not got."""
+"""By system letter and band (128, 10), of GLONASS' channel 0; NaN for a band that the system has not got."""
+CHANNEL_HZ = np.zeros((128, MOST_BANDS))
+"""Distance of neighbouring frequency channels by system letter and band (128, 10); 0 but for GLONASS."""
+CHANNEL_HZ[ord("R"), [int(band) for band in CHANNEL_STEP_HZ]] = list(CHANNEL_STEP_HZ.values())
 SYSTEM_INDEX = np.full(128, -1)
 """Index in `SYSTEMS` by system letter (128,); −1: not used."""
-SYSTEM_INDEX[[ord(letter) for letter in "GJEC"]] = [0, 0, 1, 2]
+SYSTEM_INDEX[[ord(letter) for letter in "GJECR"]] = [0, 0, 1, 2, 3]
 WAVELENGTH_M = np.repeat(SPEED_OF_LIGHT_M_S / CARRIER_HZ[[ord(letter) for letter in SYSTEMS]], _MOST_FAMILIES)
-"""Of each group (120,); NaN for a band that the system has not got."""
+"""Of each group (160,), of GLONASS' channel 0; NaN for a band that the system has not got."""
 L1_M = SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"]["1"]
 
 
@@ -75,17 +82,23 @@ def systems_of(group: Integers) -> Integers:
 
 
 @compiled
+def has_integers(group: int) -> bool:
+    """Whether the double-difference ambiguities of a group are integers: its satellites have one carrier."""
+    return group // (10 * _MOST_FAMILIES) != _FDMA
+
+
+@compiled
 def band_of(group: int) -> int:
     """RINEX digit of a group's band."""
     return group // _MOST_FAMILIES % 10
 
 
 def groups_of(bands: dict[str, str]) -> Booleans:
-    """Groups in use (120,), from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
+    """Groups in use (160,), from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
     used = np.zeros((len(SYSTEMS), MOST_BANDS, _MOST_FAMILIES), np.bool_)
     for letter, digits in bands.items():
         for band in digits:
-            if letter not in SYSTEMS or band not in CARRIER_OF_BAND_HZ[letter]:
+            if letter not in SYSTEMS or band not in _FAMILIES[letter]:
                 raise ValueError(f"{letter}{band}: expected a system of {SYSTEMS} and one of its bands")
             used[SYSTEMS.index(letter), int(band)] = True
     return used.ravel()

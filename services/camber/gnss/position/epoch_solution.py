@@ -43,7 +43,7 @@ class SatelliteView(NamedTuple):
 
 
 class EngineParameters(NamedTuple):
-    """Signal groups in use (120,), error model, masks and acceptance tests."""
+    """Signal groups in use (160,), error model, masks and acceptance tests."""
 
     groups: Booleans
     noise: Noise

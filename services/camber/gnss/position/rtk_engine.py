@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from camber.compiled.decorator import require_numba
-from camber.formats.observations import Ephemeris, Floats, Integers, ObservationEpoch
+from camber.formats.observations import BroadcastEphemeris, Floats, Integers, ObservationEpoch
 from camber.gnss.ambiguity.ambiguity_resolution import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.ambiguity.continuity import Continuity, ContinuityTracker, fixed_integers
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, FAR, IMPRECISE, NO_POSITION, Estimate
@@ -118,7 +118,7 @@ class Engine:
         self._last: SinglePoint | None = None
         self._prior = DopplerPrior()
 
-    def add_ephemeris(self, ephemeris: Ephemeris) -> None:
+    def add_ephemeris(self, ephemeris: BroadcastEphemeris) -> None:
         """Add a broadcast ephemeris."""
         self.ephemerides.add(ephemeris)
 

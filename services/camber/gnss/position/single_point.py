@@ -8,10 +8,10 @@ Model of a pseudorange on the carrier f of a satellite of group g:
 
     P = ρ + c (δt_g − δt_s + τ_f) + T + (f₁/f)² (I + m(el) (I₀ + ψ (g_e sin az + g_n cos az))) + ε
 
-with a clock per group (GPS with QZSS, Galileo, BeiDou), T and I from models. I₀ and its gradients g by the angle ψ at
-the earth's centre are the error of the model's vertical ionosphere on L1, unknowns of mean zero: this error is common
-to all satellites (south of Japan the equatorial crest makes the model metres too small), and treating it as independent
-would be overconfident and hide small faults. The variance of ε is
+with a clock per group (GPS with QZSS, Galileo, BeiDou, GLONASS), T and I from models. I₀ and its gradients g by the
+angle ψ at the earth's centre are the error of the model's vertical ionosphere on L1, unknowns of mean zero: this error
+is common to all satellites (south of Japan the equatorial crest makes the model metres too small), and treating it as
+independent would be overconfident and hide small faults. The variance of ε is
 
     (noise 10^((45 − C/N0) / 20))² + (background² + troposphere²) / sin² el + satellite² + (rest I)².
 """
@@ -46,6 +46,7 @@ from camber.gnss.observations.signal_pairs import (
     CARRIER_HZ,
     MOST_BANDS,
     SYSTEM_INDEX,
+    SYSTEMS,
     Booleans,
 )
 from camber.gnss.position.robust_least_squares import (
@@ -63,8 +64,12 @@ Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_convergence"
 """`inconsistent`: the measurements contradict one another and no consistent, testable subset is left."""
 _STATUS: tuple[Status, ...] = ("ok", "too_few", "degenerate", "inconsistent", "no_convergence")
 _NO_CONVERGENCE = 4  # a status after those of `robust_least_squares`
-_BAND_RANK = {"G": "125", "J": "125", "E": "17586", "C": "216758"}  # the least ionosphere first
-_UNKNOWNS = 9  # x, y, z, three clocks, the vertical ionosphere and its gradients to the east and north
+_BAND_RANK = {"G": "125", "J": "125", "E": "17586", "C": "216758", "R": "12"}  # the least ionosphere first
+_CLOCKS = len(SYSTEMS)
+_UNKNOWNS = (
+    3 + _CLOCKS + 3
+)  # x, y, z, clocks, the vertical ionosphere and its gradients to the east and north
+_IONOSPHERE = 3 + _CLOCKS  # the first of these three
 # Thin shell of the ionosphere at 350 km (IS-GPS-200N, 20.3.3.5.2.5).
 _SHELL_RATIO = 6371.0 / (6371.0 + 350.0)
 _COARSE_STEPS, _FINE_STEPS = 15, 10  # chosen: from the earth's centre six steps converge
@@ -76,6 +81,10 @@ _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above an
 LOWEST_ELEVATION_RAD = math.radians(10.0)
 _FALSE_ALARM = 1.0e-4  # chosen: one epoch in 10,000
 _NOISE_M, _BACKGROUND_M, _TROPOSPHERE_M, _SATELLITE_M = 0.3, 0.3, 0.1, 0.8
+_GLONASS_SATELLITE_M = 2.5
+"""Chosen: 1.9 m of orbits and clocks (O. Montenbruck et al., "Broadcast versus precise ephemerides", GPS Solutions 19,
+2015), and delays of the receiver that differ from channel to channel."""
+_GLONASS = SYSTEMS.index("R")
 _IONOSPHERE_SHARE, _LEAST_IONOSPHERE_M = 0.5, 0.5
 """Error of the model's vertical delay, a share of it (IS-GPS-200N: half of it at most, r.m.s.), and its least."""
 _UNKNOWN_IONOSPHERE_M = 7.0  # chosen: replaces both where the coefficients of the model are not known
@@ -106,7 +115,7 @@ class Codes(NamedTuple):
 class SinglePoint:
     """Single-point solution of one epoch; columns (m,) by satellite, each satellite once, in the order of the epoch.
 
-    `position_ecef_m` (3,), `covariance_ecef_m2` (3, 3), `clock_m` (3,) by `SYSTEMS` (receiver clock minus system time,
+    `position_ecef_m` (3,), `covariance_ecef_m2` (3, 3), `clock_m` (4,) by `SYSTEMS` (receiver clock minus system time,
     times c) are NaN unless the status is `ok`, a clock also where its group was not used. `approximate_ecef_m` is the
     last iterate, consistent or not, for linearisation only. `used` went into the position, `excluded` are outliers;
     neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. An elevation is NaN where it is not known.
@@ -158,7 +167,7 @@ def single_point(
         position_ecef_m=at if ok else np.full(3, np.nan),
         covariance_ecef_m2=fit.covariance[:3, :3].copy() if ok else np.full((3, 3), np.nan),
         approximate_ecef_m=at if converged else np.full(3, np.nan),
-        clock_m=fit.value[3:6] if ok else np.full(3, np.nan),
+        clock_m=fit.value[3:_IONOSPHERE] if ok else np.full(_CLOCKS, np.nan),
         chi_squared=fit.chi_squared if converged else np.nan,
         degrees=fit.degrees,
         satellite=satellite,
@@ -305,7 +314,7 @@ def _iterate(rows: _Rows, ionosphere: Floats, of_week_s: float) -> tuple[int, bo
 def _coarse_position(rows: _Rows, at: Floats) -> int:
     """From the earth's centre to some km of the solution with equal weights and no atmosphere; `at` is moved there."""
     m, direction = rows.measurable.size, np.empty(3)
-    model = empty_model(m, 6)
+    model = empty_model(m, _IONOSPHERE)
     for _ in range(_COARSE_STEPS):
         for k in range(m):
             if rows.measurable[k]:
@@ -340,8 +349,8 @@ def _linearise(rows: _Rows, at: Floats, ionosphere: Floats, of_week_s: float) ->
     missed_m = _UNKNOWN_IONOSPHERE_M
     if has_ionosphere(ionosphere):
         missed_m = max(_IONOSPHERE_SHARE * vertical_m, _LEAST_IONOSPHERE_M)
-    prior_sigma[6] = missed_m
-    prior_sigma[7] = prior_sigma[8] = missed_m / _IONOSPHERE_SCALE_RAD
+    prior_sigma[_IONOSPHERE] = missed_m
+    prior_sigma[_IONOSPHERE + 1] = prior_sigma[_IONOSPHERE + 2] = missed_m / _IONOSPHERE_SCALE_RAD
     for k in range(rows.measurable.size):
         design[k, :] = 0.0
         rows.candidate[k] = False
@@ -368,11 +377,12 @@ def _linearise(rows: _Rows, at: Floats, ionosphere: Floats, of_week_s: float) ->
         cosine = _SHELL_RATIO * math.cos(elevation)
         mapping = dispersion / math.sqrt(1.0 - cosine * cosine)
         earth_angle_rad = math.acos(cosine) - elevation
-        design[k, 6] = mapping
-        design[k, 7] = mapping * earth_angle_rad * math.sin(azimuth)
-        design[k, 8] = mapping * earth_angle_rad * math.cos(azimuth)
+        design[k, _IONOSPHERE] = mapping
+        design[k, _IONOSPHERE + 1] = mapping * earth_angle_rad * math.sin(azimuth)
+        design[k, _IONOSPHERE + 2] = mapping * earth_angle_rad * math.cos(azimuth)
         level = rows.cn0_dbhz[k] if abs(rows.cn0_dbhz[k]) < 100.0 else 40.0
         noise = _NOISE_M * 10.0 ** ((45.0 - level) / 20.0)
         low = (_BACKGROUND_M**2 + _TROPOSPHERE_M**2) / (sine * sine)
         rest = _IONOSPHERE_REST * dispersion * modelled_m
-        rows.model.sigma[k] = math.sqrt(noise * noise + low + _SATELLITE_M**2 + rest * rest)
+        satellite_m = _GLONASS_SATELLITE_M if rows.group[k] == _GLONASS else _SATELLITE_M
+        rows.model.sigma[k] = math.sqrt(noise * noise + low + satellite_m**2 + rest * rest)

@@ -29,7 +29,7 @@ from camber.gnss.observations.satellite_states import (
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import CARRIER_HZ, MOST_BANDS, Booleans
+from camber.gnss.observations.signal_pairs import CARRIER_HZ, CHANNEL_HZ, MOST_BANDS, Booleans
 from camber.gnss.position.robust_least_squares import (
     INCONSISTENT,
     OK,
@@ -86,6 +86,7 @@ def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVel
         satellite=single.satellite,
         place=single.codes.place,
         position_m=single.states.position_m,
+        channel=single.states.channel,
         velocity_m_s=single.states.velocity_m_s,
         clock_rate=single.states.clock_rate,
         receiver_ecef_m=single.approximate_ecef_m,
@@ -132,6 +133,7 @@ def _velocity(
     cn0_dbhz: Floats,
     satellite: Integers,
     place: Integers,
+    channel: Floats,
     position_m: Floats,
     velocity_m_s: Floats,
     clock_rate: Floats,
@@ -142,7 +144,9 @@ def _velocity(
     Unless the fit was tested, none is used or excluded. The columns cross to compiled code faster one by one than as
     tuples.
     """
-    rate, weight = _mean_rates(signal, doppler_hz, cn0_dbhz, satellite=satellite, place=place)
+    rate, weight = _mean_rates(
+        signal, doppler_hz, cn0_dbhz, satellite=satellite, place=place, channel=channel
+    )
     m = rate.size
     candidate, direction = np.zeros(m, np.bool_), np.empty(3)
     latitude, longitude, _ = geodetic(receiver_ecef_m)
@@ -178,7 +182,12 @@ def _velocity(
 
 @compiled
 def _mean_rates(
-    signal: Integers, doppler_hz: Floats, cn0_dbhz: Floats, satellite: Integers, place: Integers
+    signal: Integers,
+    doppler_hz: Floats,
+    cn0_dbhz: Floats,
+    satellite: Integers,
+    place: Integers,
+    channel: Floats,
 ) -> tuple[Floats, Floats]:
     """−(c/f) D of each satellite (m,) and its weight, 0 where there is none; of each band the best C/N0 counts.
 
@@ -201,7 +210,9 @@ def _mean_rates(
         for band in range(MOST_BANDS):
             if best[k, band] >= 0:
                 of_band = 1.0 / (sigma[k, band] * sigma[k, band])
-                metres = SPEED_OF_LIGHT_M_S / CARRIER_HZ[satellite[k] >> 8, band]
+                letter = satellite[k] >> 8
+                carrier_hz = CARRIER_HZ[letter, band] + channel[k] * CHANNEL_HZ[letter, band]
+                metres = SPEED_OF_LIGHT_M_S / carrier_hz
                 total[k] -= of_band * doppler_hz[best[k, band]] * metres
                 weight[k] += of_band
         if weight[k] > 0.0:

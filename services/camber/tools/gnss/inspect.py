@@ -13,7 +13,7 @@ from typing import Any
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import Ephemeris, GlonassEphemeris, ObservationEpoch
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.receiver.rtklib_pos import PosDecoder
@@ -135,7 +135,7 @@ class _RecordingContent:
                 case ReferenceStation():
                     if item in self._stations or len(self._stations) < _MOST_STATIONS:
                         self._stations[item] += 1
-                case Ephemeris():
+                case Ephemeris() | GlonassEphemeris():
                     self._ephemerides.add(item)
                 case IonosphereCoefficients():
                     self._ionosphere.add(item.system)

@@ -15,7 +15,13 @@ import numpy as np
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
-from camber.formats.observations import Ephemeris, Floats, ObservationEpoch
+from camber.formats.observations import (
+    BroadcastEphemeris,
+    Ephemeris,
+    Floats,
+    GlonassEphemeris,
+    ObservationEpoch,
+)
 from camber.formats.receiver.receiver_epoch import ReceiverEpoch
 from camber.formats.rinex.observation_header import ObservationHeader
 from camber.formats.rinex.observation_reader import RinexDecoder
@@ -38,7 +44,7 @@ class RawRecording:
 
     rover: list[ObservationEpoch]
     base: list[ObservationEpoch]
-    ephemerides: list[Ephemeris]
+    ephemerides: list[BroadcastEphemeris]
     base_ecef_m: Floats | None
     base_position_from: str
     ionosphere: Floats | None
@@ -88,7 +94,7 @@ class _File:
     name: str
     epochs: defaultdict[int, list[ObservationEpoch]] = field(default_factory=lambda: defaultdict(list))
     stations: Counter[tuple[int, tuple[float, float, float]]] = field(default_factory=Counter)
-    ephemerides: list[Ephemeris] = field(default_factory=list)
+    ephemerides: list[BroadcastEphemeris] = field(default_factory=list)
     ionosphere: Floats | None = None
     header: ObservationHeader | None = None
     problems: list[FormatError] = field(default_factory=list)
@@ -129,7 +135,7 @@ def _read(path: Path, near_ns: int | None) -> _File:
                     file.epochs[item.station_id].append(item.epoch)
                 case ReferenceStation():
                     file.stations[item.station_id, item.position_ecef_m] += 1
-                case Ephemeris():
+                case Ephemeris() | GlonassEphemeris():
                     file.ephemerides.append(item)
                 case IonosphereCoefficients() if item.system == "G":
                     file.ionosphere = np.array([*item.alpha, *item.beta])

@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Ephemeris, Integers, ObservationEpoch, satellite_name, signal_name
+from camber.formats.observations import (
+    BroadcastEphemeris,
+    Integers,
+    ObservationEpoch,
+    satellite_name,
+    signal_name,
+)
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import gpst_from_gps_ns, text_from_calendar
 from camber.gnss.observations.cycle_slips import REASONS, CycleSlipDetector
@@ -32,7 +38,7 @@ _MOST_CN0_DBHZ = 100  # chosen: above the range of RTCM DF408 (64 dB-Hz) and of 
 _MEASURED = {
     "code": "pseudorange_m", "phase": "carrier_phase_cycles", "doppler": "doppler_hz", "cn0": "cn0_dbhz",
 }  # fmt: skip
-_SYSTEM_NAMES = {"G": "GPS", "J": "QZSS", "E": "Galileo", "C": "BeiDou"}
+_SYSTEM_NAMES = {"G": "GPS", "J": "QZSS", "E": "Galileo", "C": "BeiDou", "R": "GLONASS"}
 _INTEGRITY_FIELDS = ("jamming", "spoofing", "raim", "fix_within_masks", "authenticated")
 
 
@@ -151,7 +157,7 @@ class ObservationSummary:
         """All that was counted."""
         self._count()
         signals = {(chr(key >> 16), signal_name(key & 0xFFFF)): each for key, each in self._signals.items()}
-        in_order = sorted(signals, key=lambda name: ("GJEC".find(name[0]), name))
+        in_order = sorted(signals, key=lambda name: ("GJECR".find(name[0]), name))
         sizes = self._satellites_of_epochs
         begun = np.zeros(len(REASONS), np.int64) if self._tracker is None else self._tracker.begun
         return {
@@ -242,7 +248,7 @@ class EphemerisSummary:
         self._unhealthy: defaultdict[str, set[int]] = defaultdict(set)
         self._refused: Counter[str] = Counter()
 
-    def add(self, ephemeris: Ephemeris) -> None:
+    def add(self, ephemeris: BroadcastEphemeris) -> None:
         """One more."""
         letter = chr(ephemeris.satellite >> 8)
         reason = refusal(ephemeris)
@@ -256,7 +262,7 @@ class EphemerisSummary:
     def report(self) -> dict[str, Any]:
         """By system; `refused`: what no orbit can be, by what is wrong with it."""
         systems = []
-        for letter in sorted(self._sets, key="GJEC".find):
+        for letter in sorted(self._sets, key="GJECR".find):
             sets = self._sets[letter]
             toes_ns = [toe_ns for _, toe_ns, _ in sets]
             systems.append(

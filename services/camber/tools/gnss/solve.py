@@ -263,7 +263,7 @@ def _counted(counts: Sequence[tuple[str, int]]) -> str:
 
 
 def _options(args: argparse.Namespace) -> EngineSettings:
-    names = {"G": "gps_bands", "E": "galileo_bands", "C": "beidou_bands"}
+    names = {"G": "gps_bands", "E": "galileo_bands", "C": "beidou_bands", "R": "glonass_bands"}
     update: dict[str, Any] = {name: "" for letter, name in names.items() if letter not in args.systems}
     update |= {"lowest_elevation_deg": args.elevation_deg, "least_cn0_dbhz": args.cn0_dbhz}
     return EngineSettings().model_copy(update={**update, "least_ratio": args.ratio, "partial": args.partial})
@@ -271,8 +271,12 @@ def _options(args: argparse.Namespace) -> EngineSettings:
 
 def _systems(text: str) -> str:
     letters = text.upper()
-    if not set(letters) & set("GEC") or set(letters) - set("GJEC") or ("J" in letters and "G" not in letters):
-        expected = "letters of G (with QZSS), E (Galileo), C (BeiDou)"
+    if (
+        not set(letters) & set("GEC")
+        or set(letters) - set("GJECR")
+        or ("J" in letters and "G" not in letters)
+    ):
+        expected = "letters of G (with QZSS), E (Galileo), C (BeiDou), with them R (GLONASS)"
         raise argparse.ArgumentTypeError(f"{text!r}, expected {expected}")
     return letters
 
@@ -315,7 +319,9 @@ def _parser() -> argparse.ArgumentParser:
         ("--cn0-dbhz", (0.0, 60.0), default.least_cn0_dbhz, "C/N0 mask in dB-Hz"),
     ):
         add_with_default(parser, name, value, text, type=number_from(*bounds))
-    add_with_default(parser, "--systems", "GEC", "G (GPS with QZSS), E (Galileo), C (BeiDou)", type=_systems)
+    add_with_default(
+        parser, "--systems", "GECR", "G (GPS with QZSS), E (Galileo), C (BeiDou), R (GLONASS)", type=_systems
+    )
     text, both = "partial ambiguity resolution where not all can be fixed", argparse.BooleanOptionalAction
     parser.add_argument("--partial", action=both, default=default.partial, help=text)
     return parser

@@ -55,6 +55,25 @@ def test_leave_one_system_out_leaves_each_system_out():
     assert [{name[0] for name in other.excluded} for other in subsets] == [{"G"}, {"E"}, {"C"}]
 
 
+@pytest.mark.parametrize(
+    "strategy", ["leave_one_out", "leave_one_system_out", "by_cn0", "by_elevation", "by_residual", "all"]
+)
+def test_satellites_without_integers_are_in_every_subset(strategy):
+    """Without one of GLONASS the integers are the same, so that agreement would be no evidence."""
+    made = made_up(systems="GER")
+    of_glonass = made.rows.satellite >> 8 == ord("R")
+    rows = made.rows._replace(phase_m=np.where(of_glonass, np.nan, made.rows.phase_m))
+    trials, subsets = tried(rows, strategy)
+    assert subsets
+    assert not {name for other in subsets for name in other.excluded if name[0] == "R"}
+    same = made.rows._replace(
+        **{f: getattr(rows, f)[~of_glonass] for f in rows._fields if f != "atmosphere_m2"}
+    )
+    assert trials == tried(same, strategy)[0]
+    (alone,) = tried(rows, "explicit", ["R01"])[1]
+    assert alone.excluded == ("R01",)
+
+
 @pytest.mark.parametrize(("strategy", "column"), [("by_cn0", "cn0_dbhz"), ("by_elevation", "elevation_rad")])
 def test_the_weakest_and_the_lowest_go_first(strategy, column):
     rows = made_up().rows

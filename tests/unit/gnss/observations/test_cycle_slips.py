@@ -7,6 +7,7 @@ import pytest
 
 from camber.formats.observations import (
     CARRIER_OF_BAND_HZ,
+    CHANNEL_STEP_HZ,
     SPEED_OF_LIGHT_M_S,
     ObservationEpoch,
     satellite_number,
@@ -19,11 +20,17 @@ from support.engine_drives import some_rows
 SIGNALS = [
     *(f"G{n:02d}:{code}" for n in (1, 7, 12, 32) for code in ("1C", "2L", "5Q")),
     *(f"E{n:02d}:{code}" for n in (3, 36) for code in ("1C", "7Q")),
-    "J02:1C", "J02:5Q", "C21:2I", "C63:7I",
+    "J02:1C", "J02:5Q", "C21:2I", "C63:7I", "R01:1C", "R01:2C", "R07:1C",
 ]  # fmt: skip
 NAMES = np.array([satellite_number(s.split(":")[0]) for s in SIGNALS], np.int64)
 CODES = np.array([signal_number(s.split(":")[1]) for s in SIGNALS], np.int64)
-HZ = np.array([CARRIER_OF_BAND_HZ[s[0]][s.split(":")[1][0]] for s in SIGNALS])
+CHANNELS = {"R01": 6, "R07": -7}
+HZ = np.array(
+    [
+        CARRIER_OF_BAND_HZ[s[0]][s[4]] + CHANNELS.get(s[:3], 0) * CHANNEL_STEP_HZ.get(s[4], 0.0)
+        for s in SIGNALS
+    ]
+)
 WAVELENGTH_M = SPEED_OF_LIGHT_M_S / HZ
 START_NS = 1_400_000_000 * 10**9
 

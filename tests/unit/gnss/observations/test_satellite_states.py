@@ -80,7 +80,7 @@ def test_without_a_row_or_a_pseudorange_a_state_is_nan_and_the_others_stand(wron
 def test_no_satellite_at_all_gives_empty_columns():
     none = np.zeros(0, np.int64)
     states = states_at_transmission(STORE.table, none, BEGIN_NS, np.zeros(0))
-    assert [c.shape for c in states] == [(0, 3), (0, 3), (0,), (0,)]
+    assert [c.shape for c in states] == [(0, 3), (0, 3), (0,), (0,), (0,)]
     assert [c.shape for c in ranges(states.position_m, RECEIVER)] == [(0,), (0, 3)]
     empty = store_of([])
     rows, codes = empty.rows_at(BEGIN_NS, SATELLITES), np.full(SATELLITES.size, 2e7)

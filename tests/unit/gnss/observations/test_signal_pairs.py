@@ -77,7 +77,7 @@ def test_every_band_of_every_system_follows_from_its_group():
                 assert SYSTEMS[systems_of(np.array([g]))[0]] == ("G" if letter == "J" else letter)
 
 
-@pytest.mark.parametrize("satellite", [-1, 0, 255, ord("R") * 256 + 1, ord("S") * 256 + 20, 2**40, -(2**40)])
+@pytest.mark.parametrize("satellite", [-1, 0, 255, ord("I") * 256 + 1, ord("S") * 256 + 20, 2**40, -(2**40)])
 def test_what_is_no_satellite_that_is_used_has_no_group(satellite):
     assert group_of(satellite, signal_number("1C")) == -1
 
@@ -114,9 +114,9 @@ def test_groups_that_are_not_chosen_are_left_out():
     assert paired(names, names, groups=only) == ["G01:1C-1C", "J01:1C-1C", "E01:5Q-5Q"]
 
 
-@pytest.mark.parametrize("bands", [{"R": "1"}, {"G": "7"}, {"J": "1"}, {"E": "1x"}])
+@pytest.mark.parametrize("bands", [{"S": "1"}, {"R": "3"}, {"G": "7"}, {"J": "1"}, {"E": "1x"}])
 def test_a_band_that_no_system_has_is_refused(bands):
-    with pytest.raises(ValueError, match="expected a system of GEC"):
+    with pytest.raises(ValueError, match="expected a system of GECR"):
         groups_of(bands)
 
 

@@ -102,7 +102,7 @@ def test_any_systems_give_a_position_with_a_clock_for_each(systems):
     point = position_of(of_systems(epochs[0], systems), store)
     assert point.status == "ok"
     assert np.linalg.norm(point.position_ecef_m - TRUE_M) < 15.0
-    assert np.isfinite(point.clock_m).tolist() == ["G" in systems, "E" in systems, "C" in systems]
+    assert np.isfinite(point.clock_m).tolist() == [letter in systems for letter in "GECR"]
 
 
 @pytest.mark.parametrize("late_s", [-0.3, -0.001, 0.0005, 0.002, 0.3])
@@ -112,7 +112,7 @@ def test_a_receiver_clock_moves_the_clocks_only(late_s):
     shift_m = late_s * SPEED_OF_LIGHT_M_S
     point = position_of(clock_ahead(epochs[5], late_s), store)
     np.testing.assert_allclose(point.position_ecef_m, straight.position_ecef_m, atol=1e-3)
-    np.testing.assert_allclose(point.clock_m - straight.clock_m, shift_m, atol=1e-3)
+    np.testing.assert_allclose((point.clock_m - straight.clock_m)[:3], shift_m, atol=1e-3)
 
 
 @settings(derandomize=True, max_examples=25, deadline=None)
@@ -129,7 +129,7 @@ def test_neither_the_order_nor_a_constant_changes_a_position(order, constant_m):
     # A constant is also a shift of the times of transmission: 10 km are 33 µs, in which satellites move 0.1 m.
     moved = abs(constant_m) / SPEED_OF_LIGHT_M_S * 1000.0
     np.testing.assert_allclose(point.position_ecef_m, straight.position_ecef_m, atol=1e-3 + 3.0 * moved)
-    np.testing.assert_allclose(point.clock_m - straight.clock_m, constant_m, atol=1e-3 + 3.0 * moved)
+    np.testing.assert_allclose((point.clock_m - straight.clock_m)[:3], constant_m, atol=1e-3 + 3.0 * moved)
     assert sorted(point.satellite.tolist()) == sorted(straight.satellite.tolist())
     assert excluded(point) == []
 
