@@ -94,7 +94,9 @@ class Noise(NamedTuple):
     per metre of baseline on the first band. `satellite_clock` [s/s]: drift against the broadcast clock between the
     epochs of base and rover. `horizontal`, `vertical`: effect of the atmosphere on a fixed position per metre of
     baseline, as in receivers' data sheets (1 ppm, 2 ppm). `glonass_code`: factor of the code's σ for GLONASS, whose
-    delays differ from channel to channel in each receiver; as RTKLIB's (`EFACT_GLO`).
+    chips are twice as long; as RTKLIB's (`EFACT_GLO`). `glonass_channel_m`: difference of two receivers' code delays
+    from channel to channel. Chosen: float positions keep within their covariance where it is 2 m, and receivers of one
+    make still gain fixes.
     """
 
     code_background_m: float = 0.20
@@ -106,6 +108,7 @@ class Noise(NamedTuple):
     horizontal: float = 1.0e-6
     vertical: float = 2.0e-6
     glonass_code: float = 1.5
+    glonass_channel_m: float = 2.0
 
 
 class Masks(NamedTuple):
@@ -216,7 +219,7 @@ def single_differences(
             rows.direction[a, axis] = -direction[k, axis]
         scatter = (ionosphere_m * (wavelength / L1_M) ** 2) ** 2 / sine[k] ** 2
         scatter += (SPEED_OF_LIGHT_M_S * noise.satellite_clock * age_s) ** 2
-        rows.code_variance_m2[a] = scatter
+        rows.code_variance_m2[a] = scatter + (0.0 if integers else noise.glonass_channel_m**2)
         rows.phase_variance_m2[a] = scatter
         for level in (rover_rows.cn0_dbhz[r], base_rows.cn0_dbhz[b]):
             rows.code_variance_m2[a] += variance_m2(

@@ -19,7 +19,7 @@ _GRAVITY_M3_S2 = 3.986004418e14
 _EQUATOR_M = 6_378_136.0
 _J2 = 1.08262575e-3
 _ROTATION_RAD_S = 7.292115e-5
-_LONGEST_STEP_S = 60.0  # derived: over half an hour the method errs by below 1 mm with it
+_LONGEST_STEP_S = 60.0  # chosen: the method then errs by 1.4 mm after half an hour
 STATE = 9
 """Columns of a state: position [m], velocity [m/s], acceleration by moon and sun [m/s²], PZ-90."""
 

@@ -20,7 +20,7 @@ class EngineSettings(BaseModel):
     gps_bands: str = Field("125", description="bands of GPS and QZSS that are used, as RINEX digits")
     galileo_bands: str = Field("157", description="bands of Galileo; empty: not used")
     beidou_bands: str = Field("12567", description="bands of BeiDou; empty: not used")
-    glonass_bands: str = Field("12", description="bands of GLONASS, code only; empty: not used")
+    glonass_bands: str = Field("12", description="bands of GLONASS, whose codes are used; empty: not used")
     lowest_elevation_deg: float = Field(10.0, ge=0.0, le=60.0, description="elevation mask")
     least_cn0_dbhz: float = Field(30.0, ge=0.0, le=60.0, description="C/N0 mask")
     least_ratio: float = Field(3.0, ge=1.0, le=100.0, description="threshold of the ratio test")

@@ -64,8 +64,9 @@ def test_positions_and_velocities_are_those_of_another_integrator(seed, since_s)
     integrate_state(state, since_s, position, velocity)
     span, how = (0.0, since_s), {"method": "DOP853", "rtol": 1e-13, "atol": 1e-9}
     other = solve_ivp(rates, span, state[:6], args=(state[6:],), **how).y[:, -1]
-    np.testing.assert_allclose(position, other[:3], atol=1e-3, rtol=0)
-    np.testing.assert_allclose(velocity, other[3:], atol=1e-6, rtol=0)
+    # Any velocity, also such as no orbit has.
+    np.testing.assert_allclose(position, other[:3], atol=5e-3, rtol=0)
+    np.testing.assert_allclose(velocity, other[3:], atol=1e-5, rtol=0)
 
 
 def of_recording(name: str) -> list[GlonassEphemeris]:
