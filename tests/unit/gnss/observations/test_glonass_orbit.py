@@ -108,8 +108,8 @@ def test_positions_and_clocks_are_those_of_rtklib(tmp_path):
     for e in of_recording("rooftop-2024-06-24/base.nav"):
         store.add(e)
     compared = 0
-    for found in _RS.finditer((tmp_path / "out.pos.trace").read_text("latin-1")):
-        *date, microsecond, number, x, y, z, clock_ns = found.groups()
+    for line in _RS.finditer((tmp_path / "out.pos.trace").read_text("latin-1")):
+        *date, microsecond, number, x, y, z, clock_ns = line.groups()
         satellite = satellite_number(f"R{int(number) - 32:02d}")
         clock_s = float(clock_ns) * 1e-9
         sent_ns = gps_ns_from_gpst(CalendarTime(*map(int, date), int(microsecond) * 1000))

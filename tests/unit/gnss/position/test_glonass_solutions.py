@@ -58,16 +58,16 @@ def float_errors_m(solutions: list[Solution]) -> np.ndarray:
 
 
 def test_glonass_adds_codes_and_no_ambiguity():
-    for without, beside in zip(solve(GPS), solve(WITH_GLONASS), strict=True):
-        assert beside.satellites > without.satellites
-        of_glonass = is_glonass(beside.rows.satellite)
+    for without, joined in zip(solve(GPS), solve(WITH_GLONASS), strict=True):
+        assert joined.satellites > without.satellites
+        of_glonass = is_glonass(joined.rows.satellite)
         assert of_glonass.sum() > 8
-        assert np.isnan(beside.rows.phase_m[of_glonass]).all()
-        assert np.isnan(beside.estimate.integer[of_glonass]).all()
-        assert beside.estimate.code_used[of_glonass].any()
-        assert beside.estimate.ambiguities == without.estimate.ambiguities
-        assert beside.estimate.fixed <= without.estimate.ambiguities
-        assert beside.estimate.phase_freedom == without.estimate.phase_freedom
+        assert np.isnan(joined.rows.phase_m[of_glonass]).all()
+        assert np.isnan(joined.estimate.integer[of_glonass]).all()
+        assert joined.estimate.code_used[of_glonass].any()
+        assert joined.estimate.ambiguities == without.estimate.ambiguities
+        assert joined.estimate.fixed <= without.estimate.ambiguities
+        assert joined.estimate.phase_freedom == without.estimate.phase_freedom
 
 
 def test_phases_of_glonass_change_nothing():
