@@ -111,6 +111,7 @@ from support.sbf_blocks import (
     PVT_GEODETIC,
     Tracked,
     ephemeris_block,
+    glonass_block,
     meas_epoch,
     rf_status,
     sbf_block,
@@ -281,6 +282,7 @@ def _sbf(random: Random) -> list[list[bytes]]:
             )
             for name in ("E11", "C19", "C45")
         ]
+        frames.append(glonass_block(random_glonass_ephemeris(rng, 8, TOE_NS), TOE_NS))
         for solution in solutions:
             frames += [
                 meas_epoch(solution.time_ns, _tracked_satellites(random)),

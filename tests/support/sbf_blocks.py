@@ -15,16 +15,18 @@ from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephe
 from camber.formats.observations import (
     SPEED_OF_LIGHT_M_S,
     Ephemeris,
+    GlonassEphemeris,
     ObservationEpoch,
     carrier_hz,
     signal_name,
 )
 from camber.formats.sbf.signal_numbers import SATELLITE_OF_SVID, SIGNALS
-from camber.geodesy.gps_time import NS_PER_WEEK
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 MEAS_EPOCH, PVT_GEODETIC, POS_COV_GEODETIC, VEL_COV_GEODETIC, END_OF_PVT = 4027, 4007, 5906, 5908, 5921
 RF_STATUS, GAL_AUTH_STATUS = 4092, 4245
 GPS_NAV, GAL_NAV, BDS_NAV, QZS_NAV, GPS_ION = 5891, 4002, 4081, 4095, 5893
+GLO_NAV = 4004
 NO_FLOAT = -2e10
 """A float that means "not available"."""
 
@@ -50,6 +52,8 @@ LAYOUTS = {
     "Health_PRS B,SISA_L1E5a B,SISA_L1E5b B,SISA_L1AE6A B,BGD_L1E5a f,BGD_L1E5b f,BGD_L1AE6A f,CNAVenc B",
     BDS_NAV: "PRN B,Reserved B,WN H,URA B,SatH1 B,IODC B,IODE B,Reserved2 H,T_GD1 f,T_GD2 f,t_oc I,a_f2 f,a_f1 f,"
     "a_f0 f," + _ORBIT,
+    GLO_NAV: "SVID B,FreqNr B,X d,Y d,Z d,Dx f,Dy f,Dz f,Ddx f,Ddy f,Ddz f,gamma f,tau f,dtau f,t_oe I,WN_toe H,"
+    "P1 B,P2 B,E B,B B,tb H,M B,P B,l B,P4 B,N_T H,F_T H,C B",
     GPS_ION: "PRN B,Reserved B,alpha_0 f,alpha_1 f,alpha_2 f,alpha_3 f,beta_0 f,beta_1 f,beta_2 f,beta_3 f",
 }
 """By block number: name and `struct` code of each field after TOW and WNc. Fields that are not given are zero."""
@@ -101,10 +105,14 @@ class Tracked:
     lock_s: int | None = 10
     info: int = 0
     antenna: int = 0
+    channel: int = 0
+    """Of GLONASS alone."""
 
     def kind(self) -> tuple[int, int]:
         """Return `Type` and `ObsInfo`: signal numbers from 31 on are in both."""
         low, high = (self.signal, 0) if self.signal < 31 else (31, self.signal - 32)
+        if self.signal in SIGNALS["R"]:
+            high = self.channel + 8
         return low | self.antenna << 5, self.info | high << 3
 
 
@@ -241,6 +249,18 @@ def ephemeris_block(ephemeris: Ephemeris, time_ns: int, *, source: int = 2, **ch
     fields = {"health": integers["health"], "IODC": integers["iodc"], "FitIntFlg": integers["fit"]}
     fields |= {"IODE2": integers["iode"], "IODE3": integers["iode"], "T_gd": value("tgd_s"), "CAorPonL2": 1}
     return sbf_block(GPS_NAV if system == "G" else QZS_NAV, time_ns, **(orbit | common | fields | changes))
+
+
+def glonass_block(e: GlonassEphemeris, time_ns: int, **changes: int) -> bytes:
+    """Return GLONav."""
+    places = {name: v / 1e3 for name, v in zip("XYZ", e.position_m, strict=True)}
+    places |= {f"D{name}": v / 1e3 for name, v in zip("xyz", e.velocity_m_s, strict=True)}
+    places |= {f"Dd{name}": v / 1e3 for name, v in zip("xyz", e.acceleration_m_s2, strict=True)}
+    week, of_week_ns = divmod(e.toe_ns, NS_PER_WEEK)
+    fields = {"SVID": svid_of(e.satellite), "FreqNr": e.channel + 8, "gamma": e.clock[1], "tau": -e.clock[0]}
+    fields |= {"dtau": e.group_delay_s, "t_oe": of_week_ns // NS_PER_SECOND, "WN_toe": week}
+    fields |= {"B": e.health << 2, "tb": e.iode * 15}
+    return sbf_block(GLO_NAV, time_ns, **(places | fields | changes))
 
 
 _ORBIT_FIELDS = {

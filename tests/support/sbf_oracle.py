@@ -6,19 +6,21 @@ pysbf2 1.0.7 scales some high parts and not others, and gives the offsets' high 
 from __future__ import annotations
 
 import io
+import math
 from typing import Any, NamedTuple
 
 from pysbf2 import SBFReader
 
 LIGHT_M_S = 299_792_458.0
-# mosaic-X5 reference guide, 4.1.10: number, RINEX code, carrier in MHz. GLONASS, SBAS and NavIC are not used.
+# mosaic-X5 reference guide, 4.1.10: number, RINEX code, carrier in MHz (GLONASS: of channel 0), without SBAS, NavIC.
 SIGNALS = {
     0: ("G", "1C", 1575.42), 1: ("G", "1W", 1575.42), 2: ("G", "2W", 1227.60), 3: ("G", "2L", 1227.60),
     4: ("G", "5Q", 1176.45), 5: ("G", "1L", 1575.42), 6: ("J", "1C", 1575.42), 7: ("J", "2L", 1227.60),
     13: ("C", "1P", 1575.42), 14: ("C", "5P", 1176.45), 17: ("E", "1C", 1575.42), 19: ("E", "6C", 1278.75),
     20: ("E", "5Q", 1176.45), 21: ("E", "7Q", 1207.14), 22: ("E", "8Q", 1191.795), 26: ("J", "5Q", 1176.45),
     28: ("C", "2I", 1561.098), 29: ("C", "7I", 1207.14), 30: ("C", "6I", 1268.52), 32: ("J", "1L", 1575.42),
-    34: ("C", "7D", 1207.14),
+    34: ("C", "7D", 1207.14), 8: ("R", "1C", 1602.0), 9: ("R", "1P", 1602.0), 10: ("R", "2P", 1246.0),
+    11: ("R", "2C", 1246.0), 12: ("R", "3Q", 1202.025),
 }  # fmt: skip
 
 
@@ -42,9 +44,17 @@ def parsed(frame: bytes) -> Any:
 
 def satellite_name_of(svid: int) -> str:
     """Return the name of a satellite; empty for systems that are not used."""
-    for letter, first, last in (("G", 1, 37), ("E", 71, 106), ("C", 141, 180), ("J", 181, 190)):
+    for letter, first, last in (
+        ("G", 1, 37),
+        ("E", 71, 106),
+        ("C", 141, 180),
+        ("J", 181, 190),
+        ("R", 38, 61),
+    ):
         if first <= svid <= last:
             return f"{letter}{svid - first + 1:02d}"
+    if 63 <= svid <= 68:
+        return f"R{svid - 38:02d}"
     return f"C{svid - 182:02d}" if 223 <= svid <= 245 else ""
 
 
@@ -75,7 +85,13 @@ def _number(fields: Any) -> int:
 
 
 def _signal(fields: Any) -> tuple[str, str, float]:
-    return SIGNALS.get(_number(fields), ("", "", 1.0))
+    letter, code, carrier_mhz = SIGNALS.get(_number(fields), ("", "", 1.0))
+    if letter == "R" and code[0] in "12":
+        # The frequency channel plus 8, from 1 to 21.
+        known = 1 <= fields.SigIdxHi <= 21
+        step_mhz = {"1": 0.5625, "2": 0.4375}[code[0]]
+        carrier_mhz += (fields.SigIdxHi - 8) * step_mhz if known else math.nan
+    return letter, code, carrier_mhz
 
 
 def _add(values: dict[tuple[str, str], SignalValues], svid: int, fields: Any, observed: SignalValues) -> None:

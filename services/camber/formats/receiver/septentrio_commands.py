@@ -15,7 +15,7 @@ _PERIODS_MS = (10, 20, 40, 50, 100, 200, 500)
 RAW_BLOCKS = frozenset({"MeasEpoch"})
 POSITION_BLOCKS = frozenset({"PVTGeodetic", "PosCovGeodetic", "EndOfPVT"})
 INTEGRITY_BLOCKS = frozenset({"RFStatus", "GALAuthStatus"})
-EPHEMERIS_BLOCKS = frozenset({"GPSNav", "GPSIon", "GALNav", "BDSNav", "QZSNav"})
+EPHEMERIS_BLOCKS = frozenset({"GPSNav", "GPSIon", "GALNav", "BDSNav", "QZSNav", "GLONav"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

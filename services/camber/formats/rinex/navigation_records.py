@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES, gps_ns_near
+from camber.formats.broadcast.glonass_time import quarter_of_day
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import GLONASS_CHANNELS, GPS_MINUS_BDT_NS, Ephemeris, GlonassEphemeris
 from camber.formats.rinex.observation_header import decimal_number
@@ -72,7 +73,6 @@ _GLONASS_DELAY_COLUMN = (
 _LARGEST_DELAY_S = (
     1e-7  # derived: Δτ_n has four bits of 0.93 ns; 0.999999999999e9 is "not known" (RINEX 4.02)
 )
-_QUARTER_NS = 900 * NS_PER_SECOND  # ICD GLONASS 5.1, 4.4: unit of t_b
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +161,7 @@ def parse_glonass_ephemeris(record: NavigationRecord) -> GlonassEphemeris:
         satellite=ord("R") * 256 + number,
         toe_ns=toe_ns,
         transmission_ns=_glonass_frame_ns(_optional(lines[0], 23 + 2 * _WIDTH, "frame time"), toe_ns),
-        iode=_quarter_of_day(toe_ns),
+        iode=quarter_of_day(toe_ns),
         channel=int(channel),
         position_m=_metres(values, "x_km", "y_km", "z_km"),
         velocity_m_s=_metres(values, "vx_km_s", "vy_km_s", "vz_km_s"),
@@ -183,12 +183,6 @@ def _glonass_frame_ns(of_week_s: float | None, toe_ns: int) -> int:
     utc_ns = toe_ns - gps_minus_utc_s(toe_ns) * NS_PER_SECOND
     since_ns = (round(of_week_s * NS_PER_SECOND) - utc_ns + NS_PER_DAY // 2) % NS_PER_DAY - NS_PER_DAY // 2
     return toe_ns + since_ns
-
-
-def _quarter_of_day(toe_ns: int) -> int:
-    """Return t_b as the satellite sends it: quarters of an hour of GLONASS' day, UTC and three hours."""
-    utc_ns = toe_ns - gps_minus_utc_s(toe_ns) * NS_PER_SECOND
-    return (utc_ns // _QUARTER_NS + 12) % 96
 
 
 def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:

@@ -1,4 +1,4 @@
-"""Decoded navigation messages: GPSNav, QZSNav, GALNav, BDSNav, GPSIon.
+"""Decoded navigation messages: GPSNav, QZSNav, GALNav, BDSNav, GLONav, GPSIon.
 
 Source: Septentrio mosaic-X5 reference guide, blocks of decoded messages. They contain what the satellites transmit,
 scaled, angles in semicircles: it is turned back to the transmitted integers, which single precision holds exactly.
@@ -12,15 +12,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from camber.formats.broadcast.bit_fields import BitField, quantize
-from camber.formats.broadcast.ephemeris_fields import FIELDS, plausible_ephemeris
+from camber.formats.broadcast.ephemeris_fields import FIELDS, gps_ns_near, plausible_ephemeris
+from camber.formats.broadcast.glonass_time import quarter_of_day
 from camber.formats.broadcast.klobuchar_coefficients import (
     IONOSPHERE_FIELDS,
     IonosphereCoefficients,
     coefficients_from_integers,
 )
-from camber.formats.observations import Ephemeris
+from camber.formats.observations import (
+    GLONASS_CHANNELS,
+    BroadcastEphemeris,
+    Ephemeris,
+    GlonassEphemeris,
+)
 from camber.formats.sbf.block_time import TIME_STAMP
 from camber.formats.sbf.signal_numbers import satellite_of_svid
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 # Names of `FIELDS` in the blocks' order; other names belong to this module.
 _ORBIT_NAMES = (
@@ -60,6 +67,13 @@ _GALILEO_NAMES = (
     *("af2", "af1", "af0_s", "week", "week_of_toc", "iode", "health", "health_prs"),
     *("sisa_e5a", "sisa_e5b", "bgd_e5a_s", "bgd_e5b_s"),
 )
+_GLONASS = struct.Struct("<BB3d9fIHBBBBHBBBxHHB")
+_GLONASS_NAMES = (
+    *("svid", "channel", "x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s"),
+    *("ax_km_s2", "ay_km_s2", "az_km_s2", "gamma", "tau_s", "delta_tau_s", "toe_s", "week_of_toe"),
+    *("p1", "p2", "age", "health", "tb", "m", "p", "health_now", "day", "accuracy", "c"),
+)
+_CHANNEL_OFFSET = 8  # mosaic-X5 reference guide, GLONav, `FreqNr`
 # `Source`: I/NAV, F/NAV; the data sources of RINEX 3.04, table A8, with the clock of E5b, E1 and of E5a, E1.
 _DATA_SOURCES = {2: 517.0, 16: 258.0}
 _FNAV = 16  # mosaic-X5 reference guide, GALNav, `Source`
@@ -100,6 +114,34 @@ def read_beidou_ephemeris(body: bytes, near_ns: int) -> Ephemeris:
     return plausible_ephemeris("C", _integers("C", _values(_BEIDOU, _BEIDOU_NAMES, body)), near_ns)
 
 
+def read_glonass_ephemeris(body: bytes, near_ns: int) -> GlonassEphemeris:
+    """Decode GLONav, whose times are GPS time; ValueError or struct.error where it is malformed."""
+    values = _values(_GLONASS, _GLONASS_NAMES, body)
+    letter, number = satellite_of_svid(int(values["svid"]))
+    channel, of_week_ns = int(values["channel"]) - _CHANNEL_OFFSET, int(values["toe_s"]) * NS_PER_SECOND
+    if letter != "R" or channel not in GLONASS_CHANNELS or of_week_ns >= NS_PER_WEEK:
+        raise ValueError(f"satellite {values['svid']}, channel {channel}, t_oe {values['toe_s']} s")
+    place, velocity, acceleration = (
+        tuple(values[f"{name}{unit}"] * 1e3 for name in names)
+        for names, unit in (("xyz", "_km"), (("vx", "vy", "vz"), "_km_s"), (("ax", "ay", "az"), "_km_s2"))
+    )
+    toe_ns = gps_ns_near("G", of_week_ns, near_ns)
+    return GlonassEphemeris(
+        satellite=ord(letter) * 256 + number,
+        toe_ns=toe_ns,
+        transmission_ns=near_ns,
+        iode=quarter_of_day(toe_ns),
+        channel=channel,
+        position_m=place,
+        velocity_m_s=velocity,
+        acceleration_m_s2=acceleration,
+        clock=(-values["tau_s"], values["gamma"]),
+        # The first of the three bits of B_n: not to be used.
+        health=int(values["health"]) >> 2 & 1 | int(values["health_now"]) & 1,
+        group_delay_s=values["delta_tau_s"] if values["delta_tau_s"] != _NOT_AVAILABLE else math.nan,
+    )
+
+
 def read_ionosphere(body: bytes, near_ns: int) -> IonosphereCoefficients:
     """Decode GPSIon; ValueError or struct.error where it is malformed."""
     _, *values = _IONOSPHERE.unpack_from(body, TIME_STAMP.size)
@@ -107,8 +149,9 @@ def read_ionosphere(body: bytes, near_ns: int) -> IonosphereCoefficients:
     return coefficients_from_integers("G", {name: _integer(name, v, field) for (name, field), v in pairs})
 
 
-NAVIGATION_BLOCKS: Mapping[int, Callable[[bytes, int], Ephemeris | IonosphereCoefficients]] = {
+NAVIGATION_BLOCKS: Mapping[int, Callable[[bytes, int], BroadcastEphemeris | IonosphereCoefficients]] = {
     5891: read_gps_ephemeris,
+    4004: read_glonass_ephemeris,
     4002: read_galileo_ephemeris,
     4081: read_beidou_ephemeris,
     4095: read_qzss_ephemeris,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.observations import (
+    GLONASS_CHANNELS,
     SPEED_OF_LIGHT_M_S,
     Floats,
     Integers,
@@ -23,6 +24,7 @@ from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.receiver.receiver_epoch import OmittedMeasurements, ReceiverEpoch, first_rows
 from camber.formats.sbf.signal_numbers import (
     CARRIER_OF_SIGNAL_HZ,
+    CHANNEL_OF_SIGNAL_HZ,
     E6_SIGNAL,
     GPS_P_CODES,
     SATELLITE_OF_SVID,
@@ -47,6 +49,7 @@ _FURTHER = np.dtype(
 _E6B_USED = 1 << 6  # `CommonFlags`
 _HALF_CYCLE = 1 << 2  # `ObsInfo`
 _SIGNAL_IN_INFO = 31  # `Type`: the signal number less 32 is in `ObsInfo`
+_CHANNEL_OFFSET = 8  # `ObsInfo`, bits 3 to 7 of a signal of GLONASS: frequency channel plus 8
 _LOCK_RESOLUTION_S = 1.0  # mosaic-X5 reference guide, `LockTime`
 _CN0_OFFSET_DBHZ = 10.0  # mosaic-X5 reference guide, `CN0`
 _CN0_UNKNOWN = 255  # mosaic-X5 reference guide, `CN0`
@@ -89,7 +92,7 @@ def read_measurements(
     firsts, further, parent = _sub_blocks(body, (count, first_size, further_size))
     columns = _columns(firsts, further, parent)
     number = _number(columns)
-    satellite, carrier_hz = SATELLITE_OF_SVID[columns.svid], CARRIER_OF_SIGNAL_HZ[number]
+    satellite, carrier_hz = SATELLITE_OF_SVID[columns.svid], _carriers_hz(columns)
     signal = np.where(
         (number == E6_SIGNAL) & bool(flags & _E6B_USED), signal_number("6B"), SIGNAL_OF_NUMBER[number]
     )
@@ -163,7 +166,7 @@ def _columns(firsts: NDArray[np.void], further: NDArray[np.void], parent: Intege
     """Return all signals, those of a satellite one after another."""
     order = np.argsort(np.concatenate((np.arange(firsts.size), parent)), kind="stable")
     first, second = _first_columns(firsts), _further_columns(further)
-    carriers_hz = CARRIER_OF_SIGNAL_HZ[_number(first)][parent], CARRIER_OF_SIGNAL_HZ[_number(second)]
+    carriers_hz = _carriers_hz(first)[parent], _carriers_hz(second)
     second = second._replace(
         svid=first.svid[parent],
         code_mm=first.code_mm[parent] + second.code_mm,
@@ -175,6 +178,14 @@ def _columns(firsts: NDArray[np.void], further: NDArray[np.void], parent: Intege
 def _number(columns: _MeasurementColumns) -> Integers:
     low = columns.kind & 31
     return np.where(low == _SIGNAL_IN_INFO, (columns.info >> 3) + 32, low)
+
+
+def _carriers_hz(columns: _MeasurementColumns) -> Floats:
+    """Return the carriers; of GLONASS' channels NaN where the channel is not known."""
+    number, channel = _number(columns), (columns.info >> 3) - _CHANNEL_OFFSET
+    carriers_hz = CARRIER_OF_SIGNAL_HZ[number] + channel * CHANNEL_OF_SIGNAL_HZ[number]
+    has_channel = CHANNEL_OF_SIGNAL_HZ[number] > 0.0
+    return np.where(has_channel & ~np.isin(channel, GLONASS_CHANNELS), np.nan, carriers_hz)
 
 
 def _first_columns(rows: NDArray[np.void]) -> _MeasurementColumns:

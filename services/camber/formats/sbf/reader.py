@@ -51,7 +51,7 @@ class SbfMessages:
         self.without_time = 0
         """Blocks before the receiver knows the time."""
         self.other_systems = 0
-        """Measurements of GLONASS, SBAS, NavIC, L-band."""
+        """Measurements of SBAS, NavIC, L-band."""
         self.other_antennas = 0
         """Measurements of a second antenna."""
         self.unknown_signals = 0

@@ -14,8 +14,9 @@ from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficien
 from camber.formats.observations import Ephemeris
 from camber.formats.sbf.reader import SbfDecoder
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+from support.glonass_messages import random_glonass_ephemeris
 from support.random_observations import random_ephemeris, random_toe_ns
-from support.sbf_blocks import GPS_ION, GPS_NAV, NO_FLOAT, ephemeris_block, sbf_block, svid_of
+from support.sbf_blocks import GPS_ION, GPS_NAV, NO_FLOAT, ephemeris_block, glonass_block, sbf_block, svid_of
 from support.sbf_oracle import parsed
 
 NAMES = ("G05", "G32", "J02", "E11", "E36", "C03", "C19", "C45")
@@ -43,6 +44,31 @@ def random_case(seed: int, name: str) -> tuple[Ephemeris, int]:
         iodc = float(int(ephemeris.other["iodc"]) & 0x300 | ephemeris.iode)
         ephemeris = replace(ephemeris, other={**ephemeris.other, "iodc": iodc})
     return ephemeris, toe_ns + int(rng.integers(-7200, 7200)) * NS_PER_SECOND
+
+
+@given(st.integers(0, 2**32), st.integers(1, 30))
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_an_ephemeris_of_glonass_is_that_of_the_satellite(seed: int, number: int) -> None:
+    time_ns = WEEK * NS_PER_WEEK + 200_000 * NS_PER_SECOND
+    sent = random_glonass_ephemeris(np.random.default_rng(seed), number, time_ns)
+    frame = glonass_block(sent, time_ns)
+    (read,), _ = decoded(frame)
+    assert replace(read, transmission_ns=sent.transmission_ns) == sent
+    message = parsed(frame)
+    theirs = [message.X, message.Y, message.Z, message.Dx, message.Dy, message.Dz]
+    np.testing.assert_allclose([*read.position_m, *read.velocity_m_s], theirs, rtol=1e-12)
+    np.testing.assert_allclose([message.tau, message.gamma], [-read.clock[0], read.clock[1]], rtol=1e-12)
+    assert (message.t_oe, message.FreqNr) == (read.toe_ns % NS_PER_WEEK // NS_PER_SECOND, read.channel + 8)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"SVID": 5}, {"SVID": 62}, {"FreqNr": 0}, {"FreqNr": 22}, {"t_oe": 604_800}]
+)
+def test_an_ephemeris_of_glonass_that_no_satellite_sends_is_malformed(changes: dict[str, int]) -> None:
+    time_ns = WEEK * NS_PER_WEEK + 200_000 * NS_PER_SECOND
+    sent = random_glonass_ephemeris(np.random.default_rng(1), 5, time_ns)
+    results, decoder = decoded(glonass_block(sent, time_ns, **changes))
+    assert (results, decoder.messages.malformed) == ([], 1)
 
 
 @given(st.integers(0, 2**32), st.sampled_from(NAMES))
