@@ -121,10 +121,6 @@ def read_glonass_ephemeris(body: bytes, near_ns: int) -> GlonassEphemeris:
     channel, of_week_ns = int(values["channel"]) - _CHANNEL_OFFSET, int(values["toe_s"]) * NS_PER_SECOND
     if letter != "R" or channel not in GLONASS_CHANNELS or of_week_ns >= NS_PER_WEEK:
         raise ValueError(f"satellite {values['svid']}, channel {channel}, t_oe {values['toe_s']} s")
-    place, velocity, acceleration = (
-        tuple(values[f"{name}{unit}"] * 1e3 for name in names)
-        for names, unit in (("xyz", "_km"), (("vx", "vy", "vz"), "_km_s"), (("ax", "ay", "az"), "_km_s2"))
-    )
     toe_ns = gps_ns_near("G", of_week_ns, near_ns)
     return GlonassEphemeris(
         satellite=ord(letter) * 256 + number,
@@ -132,9 +128,9 @@ def read_glonass_ephemeris(body: bytes, near_ns: int) -> GlonassEphemeris:
         transmission_ns=near_ns,
         iode=quarter_of_day(toe_ns),
         channel=channel,
-        position_m=place,
-        velocity_m_s=velocity,
-        acceleration_m_s2=acceleration,
+        position_m=_metres(values, "x_km", "y_km", "z_km"),
+        velocity_m_s=_metres(values, "vx_km_s", "vy_km_s", "vz_km_s"),
+        acceleration_m_s2=_metres(values, "ax_km_s2", "ay_km_s2", "az_km_s2"),
         clock=(-values["tau_s"], values["gamma"]),
         # The first of the three bits of B_n: not to be used.
         health=int(values["health"]) >> 2 & 1 | int(values["health_now"]) & 1,
@@ -169,6 +165,10 @@ def _read_lnav(body: bytes, near_ns: int, system: str) -> Ephemeris:
 
 def _values(layout: struct.Struct, names: tuple[str, ...], body: bytes) -> dict[str, float]:
     return dict(zip(names, layout.unpack_from(body, TIME_STAMP.size), strict=True))
+
+
+def _metres(values: Mapping[str, float], x: str, y: str, z: str) -> tuple[float, float, float]:
+    return values[x] * 1e3, values[y] * 1e3, values[z] * 1e3
 
 
 def _integers(system: str, values: Mapping[str, float]) -> dict[str, int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.observations import Ephemeris
+from camber.formats.observations import BroadcastEphemeris
 from camber.formats.receiver.frame_buffer import Frame, FramedDecoder
 from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
@@ -22,7 +22,7 @@ from camber.formats.sbf.integrity_blocks import read_authentication, read_radio_
 from camber.formats.sbf.measurement_reader import read_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
-SbfResult = ReceiverEpoch | Ephemeris | IonosphereCoefficients | ReceiverSolution | ReceiverIntegrity
+SbfResult = ReceiverEpoch | BroadcastEphemeris | IonosphereCoefficients | ReceiverSolution | ReceiverIntegrity
 MEAS_EPOCH, RF_STATUS, GAL_AUTH_STATUS = 4027, 4092, 4245
 PVT_BLOCKS = (pvt.PVT_GEODETIC, pvt.POS_COV_GEODETIC, pvt.VEL_COV_GEODETIC, pvt.END_OF_PVT)
 """Those of one epoch's position, up to its end."""
