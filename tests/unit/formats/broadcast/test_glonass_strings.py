@@ -13,7 +13,7 @@ from pyrtcm import RTCMReader
 
 from camber.formats.broadcast.glonass_strings import decode_string
 from camber.formats.broadcast.glonass_time import gps_ns_of_day_number, gps_ns_of_week_day
-from camber.formats.observations import GlonassEphemeris
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, GlonassEphemeris
 from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
@@ -36,6 +36,7 @@ from support.glonass_messages import (
     string_words,
 )
 from support.gnss_files import recording
+from support.random_msm import any_msm
 from support.random_observations import random_epoch
 
 NOW_NS = gps_ns_from_utc(CalendarTime(2026, 5, 2, 9, 0, 0))
@@ -236,3 +237,28 @@ def test_times_of_glonass_are_utc_and_three_hours(days, second, off):
 def test_other_strings_have_no_fields():
     assert decode_string(string_words(5, {80: (77, 11)})) == (5, {})
     assert decode_string(string_words(15, {80: (77, 11)})) == (15, {})
+
+
+@pytest.mark.parametrize("number", [1084, 1086])
+def test_phases_of_msm_without_channels_are_read_once_1020_has_named_them(number):
+    rng = np.random.default_rng(7)
+    frames = [any_msm(rng, number) for _ in range(60)]
+    named = [replace(random_glonass_ephemeris(rng, n, NOW_NS), channel=n % 13 - 6) for n in range(1, 25)]
+    before, after = RtcmDecoder(NOW_NS), RtcmDecoder(NOW_NS)
+    after.feed(b"".join(map(message_1020, named)))
+    compared = 0
+    for frame in frames:
+        (unknown,), (known,) = (
+            [r.epoch for r in decoder.feed(frame) + decoder.finish()] for decoder in (before, after)
+        )
+        np.testing.assert_array_equal(unknown.pseudorange_m, known.pseudorange_m)
+        assert np.isnan(unknown.carrier_phase_cycles).all()
+        channel = (known.satellite & 255) % 13 - 6
+        carrier_hz = np.where(known.signal >> 8 == ord("1"), 1602e6, 1246e6)
+        carrier_hz += channel * np.where(known.signal >> 8 == ord("1"), 562.5e3, 437.5e3)
+        metres = known.carrier_phase_cycles * SPEED_OF_LIGHT_M_S / carrier_hz
+        near = ~np.isnan(metres) & ~np.isnan(known.pseudorange_m)
+        # Code and phase are within a part of a millisecond of the same rough range.
+        assert (np.abs(metres - known.pseudorange_m)[near] < 2000.0).all()
+        compared += near.sum()
+    assert compared > 50

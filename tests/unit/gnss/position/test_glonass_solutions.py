@@ -187,3 +187,26 @@ def test_a_setting_selects_its_bands(bands):
     rows = solve(options)[0].rows
     groups = rows.group[is_glonass(rows.satellite)]
     assert sorted({str(g // 4 % 10) for g in groups.tolist()}) == sorted(bands)
+
+
+def test_phases_with_a_float_ambiguity_each_would_change_no_position():
+    """Least squares of codes and phases, the ambiguities of GLONASS being unknowns, is that of the codes alone."""
+    for epoch, s in zip(files()[0][::10], solve(WITH_GLONASS)[::10], strict=True):
+        rows = s.rows
+        of_glonass = np.flatnonzero(is_glonass(rows.satellite))
+        groups = np.unique(rows.group)
+        clocks = (rows.group[:, None] == groups).astype(float)
+        codes = np.hstack([rows.direction, clocks])
+        alone = solved_position(codes, rows.code_m, 1.0 / np.sqrt(rows.code_variance_m2))
+        # A clock of the phases of each band would be one more unknown, which the ambiguities contain.
+        count = of_glonass.size
+        phases = np.hstack([rows.direction[of_glonass], np.zeros((count, groups.size)), np.eye(count)])
+        design = np.vstack([np.hstack([codes, np.zeros((codes.shape[0], count))]), phases])
+        cycles = epoch.carrier_phase_cycles[rows.rover[of_glonass]]
+        values = np.concatenate([rows.code_m, np.nan_to_num(cycles % 1000.0)])
+        weights = np.concatenate([1.0 / np.sqrt(rows.code_variance_m2), np.full(count, 250.0)])
+        np.testing.assert_allclose(solved_position(design, values, weights), alone, atol=1e-6)
+
+
+def solved_position(design: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return np.linalg.lstsq(design * weights[:, None], values * weights, rcond=None)[0][:3]
