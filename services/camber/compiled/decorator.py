@@ -15,6 +15,8 @@ import numpy as np
 
 F = TypeVar("F", bound=Callable[..., object])
 _HAS_NUMBA = find_spec("numba") is not None
+_LINKS_FUNCTIONS = "0.68."
+"""The version of numba whose inner classes `linked_functions` extends; with others the first run takes longer."""
 
 
 def require_numba() -> None:
@@ -38,13 +40,19 @@ def _kept(function: F, *, nogil: bool) -> F:
         return cast(F, _interpreted(function))
     import numba
 
-    from camber.compiled.linked_functions import EntryDispatcher
-
     config: Any = numba.core.config
     if config.DISABLE_JIT:
         return function
-    options = {"fastmath": False, "error_model": "numpy", "nogil": nogil}
-    return cast(F, EntryDispatcher(function, options))
+    options: dict[str, Any] = {"fastmath": False, "error_model": "numpy", "nogil": nogil}
+    if numba.__version__.startswith(_LINKS_FUNCTIONS):
+        from camber.compiled.linked_functions import EntryDispatcher
+
+        return cast(F, EntryDispatcher(function, options))
+    from camber.compiled.disk_cache import MachineCodeCache
+
+    dispatcher = numba.njit(**options)(function)
+    cast(Any, dispatcher)._cache = MachineCodeCache(dispatcher)
+    return cast(F, dispatcher)
 
 
 def _interpreted(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -84,3 +84,18 @@ def test_an_error_within_a_linked_function_says_what_it_says_in_python(run: str,
         for _ in range(1 if run == "compiled" else 2)
     ]
     assert outputs[-1].stdout == "5.0\n('no root', 1)\n", outputs[-1].stderr
+
+
+def test_with_another_version_of_numba_functions_are_compiled_as_numba_does(tmp_path: Path) -> None:
+    (tmp_path / "raises_in_test.py").write_text(RAISES, "utf-8")
+    other = "import numba; numba.__version__ = '0.99.0'\n" + RUN + "print(type(sum_of_roots).__name__)\n"
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(tmp_path)}
+    ran = subprocess.run(
+        [sys.executable, "-c", other],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+        timeout=120,
+    )
+    assert ran.stdout.splitlines() == ["5.0", "('no root', 1)", "CPUDispatcher"]
