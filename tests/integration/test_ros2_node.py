@@ -385,6 +385,7 @@ def test_a_node_and_its_topics_are_in_the_graph(bench: Bench) -> None:
         ("MP", "/tf", "::,10:,:,:,,"),
         ("MS", "/lidar/points", "::,1:,:,:,,"),
         ("MS", "/odom", "::,256:,:,:,,"),
+        ("MS", "/imu/data", "::,512:,:,:,,"),
         ("MS", "/gps/fix", "::,64:,:,:,,"),
         ("MS", "/tf_static", ":1:,100:,:,:,,"),
     }
