@@ -7,6 +7,7 @@ import math
 
 from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS_M
 
+STANDARD_GRAVITY_M_S2 = 9.80665  # ISO 80000-3: the unit g of sensors; true gravity differs by 0.3 %
 # NIMA TR8350.2, table 3.4
 EQUATORIAL_GRAVITY_M_S2 = 9.7803253359
 _SOMIGLIANA_K = 0.00193185265241

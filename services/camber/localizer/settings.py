@@ -134,24 +134,16 @@ class LocalizerSettings(ServiceSettings):
     def _imu(self) -> ImuOptions | None:
         if self.imu_class is None:
             return None
-        mount = SensorMount(
-            x_m=self.imu_x_m,
-            y_m=self.imu_y_m,
-            z_m=self.imu_z_m,
-            roll_rad=math.radians(self.imu_roll_deg),
-            pitch_rad=math.radians(self.imu_pitch_deg),
-            yaw_rad=math.radians(self.imu_yaw_deg),
+        mount = _mount(
+            (self.imu_x_m, self.imu_y_m, self.imu_z_m),
+            roll_pitch_yaw_deg=(self.imu_roll_deg, self.imu_pitch_deg, self.imu_yaw_deg),
         )
         return ImuOptions(noise=IMU_NOISE[self.imu_class], mount=mount)
 
     def _matching(self) -> ScanMatchOptions:
-        mount = SensorMount(
-            x_m=self.lidar_x_m,
-            y_m=self.lidar_y_m,
-            z_m=self.lidar_z_m,
-            roll_rad=math.radians(self.lidar_roll_deg),
-            pitch_rad=math.radians(self.lidar_pitch_deg),
-            yaw_rad=math.radians(self.lidar_yaw_deg),
+        mount = _mount(
+            (self.lidar_x_m, self.lidar_y_m, self.lidar_z_m),
+            roll_pitch_yaw_deg=(self.lidar_roll_deg, self.lidar_pitch_deg, self.lidar_yaw_deg),
         )
         match = MatchOptions(
             layer_bounds_m=tuple(pairwise(self.layer_bounds_m)),
@@ -160,3 +152,11 @@ class LocalizerSettings(ServiceSettings):
             max_distance_m=self.match_distance_m,
         )
         return ScanMatchOptions(mount=mount, match=match, sweeps=self.sweeps_overlaid, road_by=self.road_by)
+
+
+def _mount(
+    position_m: tuple[float, float, float], *, roll_pitch_yaw_deg: tuple[float, float, float]
+) -> SensorMount:
+    roll, pitch, yaw = map(math.radians, roll_pitch_yaw_deg)
+    x_m, y_m, z_m = position_m
+    return SensorMount(x_m=x_m, y_m=y_m, z_m=z_m, roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw)

@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from camber.formats.lidar_can.firings import Float64
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 
 _PACKET: Final = struct.Struct("<3Q6f")
-_STANDARD_GRAVITY_M_S2: Final = 9.80665  # ISO 80000-3
 
 Vector = tuple[float, float, float]
 
@@ -37,7 +37,7 @@ def read_imu_packet(payload: bytes, sensor_from_imu: Float64) -> OusterImuSample
     _, _, stamp_ns, *values = _PACKET.unpack(payload)
     if not np.isfinite(values).all():
         return "a packet with numbers that are not finite"
-    force = sensor_from_imu @ np.array(values[:3]) * _STANDARD_GRAVITY_M_S2
+    force = sensor_from_imu @ np.array(values[:3]) * STANDARD_GRAVITY_M_S2
     rate = sensor_from_imu @ np.array(values[3:]) * math.radians(1.0)
     return OusterImuSample(
         stamp_ns=stamp_ns,

@@ -101,9 +101,8 @@ class ImuMotion:
         if step is None:
             return None
         self._step_ns = step.time_ns
-        has_tilt = vehicle is not None and vehicle.roll_rad is not None and vehicle.pitch_rad is not None
         tilt: tuple[float | None, float | None] = (None, None)
-        if has_tilt and vehicle is not None:
+        if vehicle is not None and vehicle.roll_rad is not None and vehicle.pitch_rad is not None:
             tilt = vehicle.roll_rad, vehicle.pitch_rad
         elif step.tilt_sigma_rad < _SURE_TILT_RAD:
             tilt = step.reading.roll_rad, step.reading.pitch_rad

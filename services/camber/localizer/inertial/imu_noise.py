@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.localizer.filter.odometry import MotionModel
 from camber.schemas.motion import ImuClass
 
-_STANDARD_GRAVITY_M_S2: Final = 9.80665  # ISO 80000-3
 _DEG_PER_HOUR: Final = math.radians(1.0) / 3600.0
 _INSTABILITY_TIME_S: Final = (
     100.0  # chosen: the Allan deviation of MEMS gyros is lowest between 10 s and 1000 s
@@ -59,8 +59,8 @@ IMU_NOISE: Final[dict[ImuClass, ImuNoise]] = {
         gyro_bias_sigma_rad_s=math.radians(0.5),  # chosen: a sixth of the zero-rate offset
         gyro_instability_rad_s=20.0 * _DEG_PER_HOUR,  # chosen: the data sheet gives none
         gyro_scale_sigma=0.01,
-        velocity_random_walk_m_s_sqrt_s=180e-6 * _STANDARD_GRAVITY_M_S2,
-        accelerometer_bias_sigma_m_s2=0.04 * _STANDARD_GRAVITY_M_S2,
+        velocity_random_walk_m_s_sqrt_s=180e-6 * STANDARD_GRAVITY_M_S2,
+        accelerometer_bias_sigma_m_s2=0.04 * STANDARD_GRAVITY_M_S2,
     ),
     # ADIS16465: 0.15 °/√h, 2 °/h in-run; 0.012 m/s/√h.
     "mems": ImuNoise(
@@ -69,7 +69,7 @@ IMU_NOISE: Final[dict[ImuClass, ImuNoise]] = {
         gyro_instability_rad_s=2.0 * _DEG_PER_HOUR,
         gyro_scale_sigma=0.003,  # chosen: over temperature
         velocity_random_walk_m_s_sqrt_s=0.012 / 60.0,
-        accelerometer_bias_sigma_m_s2=0.0015 * _STANDARD_GRAVITY_M_S2,
+        accelerometer_bias_sigma_m_s2=0.0015 * STANDARD_GRAVITY_M_S2,
     ),
     # STIM300: 0.15 °/√h, 0.5 °/h in-run, ± 250 °/h at switching on, 500 ppm; 0.06 m/s/√h, 2 mg over temperature.
     "tactical": ImuNoise(
@@ -78,6 +78,6 @@ IMU_NOISE: Final[dict[ImuClass, ImuNoise]] = {
         gyro_instability_rad_s=0.5 * _DEG_PER_HOUR,
         gyro_scale_sigma=0.0005,
         velocity_random_walk_m_s_sqrt_s=0.06 / 60.0,
-        accelerometer_bias_sigma_m_s2=0.002 * _STANDARD_GRAVITY_M_S2,
+        accelerometer_bias_sigma_m_s2=0.002 * STANDARD_GRAVITY_M_S2,
     ),
 }

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.localizer.inertial.imu_noise import ImuNoise
-from camber.localizer.inertial.tilt_filter import GRAVITY_M_S2
 
 _WINDOW_NS: Final = 600_000_000  # as `MotionModel.standstill_after_s`
 _FULL_NS: Final = 500_000_000  # chosen: less is no window
@@ -62,4 +62,4 @@ class QuietDetection:
         rate = _RATE_RAD_S + per_step * self._noise.angle_random_walk_rad_sqrt_s
         gravity = float(np.linalg.norm(values[:, :3].mean(axis=0)))
         is_steady = bool(spread[:3].max() <= force and spread[3:].max() <= rate)
-        return is_steady and spread.max() > 0.0 and abs(gravity - GRAVITY_M_S2) < _GRAVITY_OFF_M_S2
+        return is_steady and spread.max() > 0.0 and abs(gravity - STANDARD_GRAVITY_M_S2) < _GRAVITY_OFF_M_S2

@@ -12,10 +12,11 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.localizer.filter.odometry import InertialReading
 from camber.localizer.inertial.imu_noise import ImuNoise
 from camber.localizer.inertial.quiet_detection import QuietDetection
-from camber.localizer.inertial.tilt_filter import GRAVITY_M_S2, LevelingForce, TiltFilter
+from camber.localizer.inertial.tilt_filter import LevelingForce, TiltFilter
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.schemas.motion import Imu
 
@@ -77,16 +78,13 @@ class StrapdownIntegration:
     def add(self, sample: Imu, speed: Callable[[], ForwardSpeed | None]) -> InertialStep | None:
         """Add a sample; return a step where one is complete. `speed` is asked for when the tilt is levelled.
 
-        Samples that are not newer than the last are ignored; after a gap nothing before it counts.
+        Samples are in order of time, as `ImuMotion.outcome` says; after a gap nothing before it counts.
         """
         rate, force = (
             self._in_vehicle(sample.angular_rate_rad_s),
             self._in_vehicle(sample.specific_force_m_s2),
         )
         last, self._last = self._last, (sample.time_ns, rate, force)
-        if last is not None and sample.time_ns <= last[0]:
-            self._last = last
-            return None
         if last is None or sample.time_ns - last[0] > _GAP_NS:
             self._restart()
             return None
@@ -95,10 +93,10 @@ class StrapdownIntegration:
         mean_force = self._at_origin(mean_rate, measured)
         turned = self._tilt.rotate(mean_rate, dt_s)
         gravity_x = self._tilt.gravity_m_s2[0]
-        self._step.add(
-            mean_rate, measured, turned_rad=turned, change_m_s=(mean_force[0] - gravity_x) * dt_s, dt_s=dt_s
-        )
-        self._leveling.add(mean_force, mean_rate[2], dt_s)
+        self._step.add(mean_rate, measured, dt_s)
+        self._step.turned_rad += turned
+        self._step.speed_change_m_s += (mean_force[0] - gravity_x) * dt_s
+        self._leveling.add(mean_rate, mean_force, dt_s)
         if self._step.duration_s * 1e9 < 0.999 * _STEP_NS:
             return None
         step = self._finish_step(sample.time_ns)
@@ -136,7 +134,7 @@ class StrapdownIntegration:
         """Level by the mean force since the last time, and note what that changes of the forward acceleration."""
         was_level, gravity_x = self._tilt.is_level, self._tilt.gravity_m_s2[0]
         force, up_m_s2 = self._leveling_force(speed)
-        self.is_upright = up_m_s2 > _LEAST_UP * GRAVITY_M_S2
+        self.is_upright = up_m_s2 > _LEAST_UP * STANDARD_GRAVITY_M_S2
         if not self.is_upright:
             self._tilt.restart()
             return
@@ -148,7 +146,7 @@ class StrapdownIntegration:
         """Return the mean force since the last time, less what the vehicle's acceleration has made of it, and its z."""
         sums, self._leveling = self._leveling, _LevelingIntegrals()
         t = sums.duration_s
-        x, y, z = (value / t for value in sums.force)
+        x, y, z = sums.mean_force
         begin, self._leveling.begin = sums.begin, speed
         if speed is None and not self._tilt.is_level and self._quiet_s > 0.0:
             speed = begin = _AT_REST
@@ -156,7 +154,7 @@ class StrapdownIntegration:
         unknown = _UNKNOWN_ACCELERATION_M_S2 * math.sqrt(max(1.0, 2.0 * _ACCELERATES_FOR_S / t))
         ahead, left, sigma_ahead, sigma_left = 0.0, 0.0, unknown, unknown
         if speed is not None:
-            turn_rad_s = sums.turned_rad / t
+            turn_rad_s = sums.mean_rate[2]
             left = speed.speed_m_s * turn_rad_s
             # The turn has the bias of the gyro in it.
             unknown_turn_rad_s = abs(turn_rad_s) * _SIDE_FORCE_SHARE + self._noise.gyro_bias_sigma_rad_s
@@ -199,20 +197,16 @@ class StrapdownIntegration:
         self._quiet_s = 0.0
 
 
-class _StepIntegrals:
-    """Integrals over a step, the force as measured."""
+class _Integrals:
+    """Integrals of turn and force over an interval."""
 
     def __init__(self) -> None:
-        self.duration_s = self.turned_rad = self.speed_change_m_s = 0.0
+        self.duration_s = 0.0
         self._rate = [0.0, 0.0, 0.0]
         self._force = [0.0, 0.0, 0.0]
 
-    def add(
-        self, rate: _Vector, force: _Vector, *, turned_rad: float, change_m_s: float, dt_s: float
-    ) -> None:
+    def add(self, rate: _Vector, force: _Vector, dt_s: float) -> None:
         self.duration_s += dt_s
-        self.turned_rad += turned_rad
-        self.speed_change_m_s += change_m_s
         for axis in range(3):
             self._rate[axis] += rate[axis] * dt_s
             self._force[axis] += force[axis] * dt_s
@@ -228,19 +222,20 @@ class _StepIntegrals:
         return x, y, z
 
 
-class _LevelingIntegrals:
-    """Integrals of force and turn since the tilt was last levelled, and the speed at their begin."""
+class _StepIntegrals(_Integrals):
+    """Those of a step, the force as measured, and what the tilt makes of them."""
 
     def __init__(self) -> None:
-        self.duration_s = self.turned_rad = 0.0
-        self.force = [0.0, 0.0, 0.0]
-        self.begin: ForwardSpeed | None = None
+        super().__init__()
+        self.turned_rad = self.speed_change_m_s = 0.0
 
-    def add(self, force: _Vector, yaw_rate_rad_s: float, dt_s: float) -> None:
-        self.duration_s += dt_s
-        self.turned_rad += yaw_rate_rad_s * dt_s
-        for axis in range(3):
-            self.force[axis] += force[axis] * dt_s
+
+class _LevelingIntegrals(_Integrals):
+    """Those since the tilt was last levelled, the force at the reference point, and the speed at their begin."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begin: ForwardSpeed | None = None
 
 
 def _mean(one: _Vector, other: _Vector) -> _Vector:

@@ -16,10 +16,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.localizer.arrays import Floats
 from camber.localizer.inertial.imu_noise import ImuNoise
 
-GRAVITY_M_S2: Final = 9.80665  # ISO 80000-3; true gravity differs by 0.3 %, which at 10 % of slope is 0.02°
 _START_SIGMA_RAD: Final = 0.1  # chosen: a vehicle that brakes with 1 m/s² while the filter starts
 _GYRO_BIAS_X, _GYRO_BIAS_Y, _FORCE_BIAS_X, _FORCE_BIAS_Y = 2, 3, 4, 5
 _BIAS_TIME_S: Final = 3600.0  # chosen: an accelerometer's bias follows the temperature of the unit
@@ -61,9 +61,9 @@ class TiltFilter:
         """Specific force at rest in the body's axes."""
         cos_pitch = math.cos(self.pitch_rad)
         return (
-            -GRAVITY_M_S2 * math.sin(self.pitch_rad),
-            GRAVITY_M_S2 * cos_pitch * math.sin(self.roll_rad),
-            GRAVITY_M_S2 * cos_pitch * math.cos(self.roll_rad),
+            -STANDARD_GRAVITY_M_S2 * math.sin(self.pitch_rad),
+            STANDARD_GRAVITY_M_S2 * cos_pitch * math.sin(self.roll_rad),
+            STANDARD_GRAVITY_M_S2 * cos_pitch * math.cos(self.roll_rad),
         )
 
     def restart(self) -> None:
@@ -98,8 +98,9 @@ class TiltFilter:
         sin_roll, cos_roll = math.sin(self.roll_rad), math.cos(self.roll_rad)
         sin_pitch, cos_pitch = math.sin(self.pitch_rad), math.cos(self.pitch_rad)
         h = np.zeros((2, 6))
-        h[0, 1], h[0, _FORCE_BIAS_X] = -GRAVITY_M_S2 * cos_pitch, 1.0
-        h[1, 0], h[1, 1] = GRAVITY_M_S2 * cos_pitch * cos_roll, -GRAVITY_M_S2 * sin_pitch * sin_roll
+        h[0, 1], h[0, _FORCE_BIAS_X] = -STANDARD_GRAVITY_M_S2 * cos_pitch, 1.0
+        h[1, 0] = STANDARD_GRAVITY_M_S2 * cos_pitch * cos_roll
+        h[1, 1] = -STANDARD_GRAVITY_M_S2 * sin_pitch * sin_roll
         h[1, _FORCE_BIAS_Y] = 1.0
         expected_x, expected_y, _ = self.gravity_m_s2
         bias_x, bias_y = self._force_bias_m_s2.tolist()
@@ -131,7 +132,7 @@ class TiltFilter:
         return True
 
     def _start(self, force: LevelingForce, up_m_s2: float) -> None:
-        up = max(up_m_s2, 0.5 * GRAVITY_M_S2)  # less is free fall
+        up = max(up_m_s2, 0.5 * STANDARD_GRAVITY_M_S2)  # less is free fall
         x, y = force.x_m_s2 - float(self._force_bias_m_s2[0]), force.y_m_s2 - float(self._force_bias_m_s2[1])
         self.roll_rad, self.pitch_rad = math.atan2(y, up), math.atan2(-x, math.hypot(y, up))
         noise = self._noise
@@ -141,9 +142,11 @@ class TiltFilter:
             self._p = np.diag((0.0, 0.0, gyro**2, gyro**2, bias**2, bias**2))
         # The tilt is measured with the bias in it: roll is off by −1 / g of the bias along y, pitch by 1 / g along x.
         by_bias = np.zeros((2, 4))
-        by_bias[0, _FORCE_BIAS_Y - 2], by_bias[1, _FORCE_BIAS_X - 2] = -1.0 / GRAVITY_M_S2, 1.0 / GRAVITY_M_S2
+        by_bias[0, _FORCE_BIAS_Y - 2] = -1.0 / STANDARD_GRAVITY_M_S2
+        by_bias[1, _FORCE_BIAS_X - 2] = 1.0 / STANDARD_GRAVITY_M_S2
         by_force = [
-            min(sigma / GRAVITY_M_S2, _START_SIGMA_RAD) for sigma in (force.sigma_y_m_s2, force.sigma_x_m_s2)
+            min(sigma / STANDARD_GRAVITY_M_S2, _START_SIGMA_RAD)
+            for sigma in (force.sigma_y_m_s2, force.sigma_x_m_s2)
         ]
         biases = self._p[2:, 2:]
         self._p[:2, 2:] = by_bias @ biases

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from camber.compiled.decorator import compiled
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Trajectory
-from camber.simulator.vehicle.body import GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +60,8 @@ def _leaking(trajectory: Trajectory, sensor: AttitudeSensor) -> tuple[Floats, Fl
     left = trajectory.speed_m_s * trajectory.yaw_rate_rad_s
     keep = math.exp(-(time_s[1] - time_s[0]) / sensor.leaking_s)
     share = sensor.leaking_share
-    return _averaged(-share * forward / GRAVITY_M_S2, keep), _averaged(share * left / GRAVITY_M_S2, keep)
+    pitch_rad, roll_rad = -share * forward / STANDARD_GRAVITY_M_S2, share * left / STANDARD_GRAVITY_M_S2
+    return _averaged(pitch_rad, keep), _averaged(roll_rad, keep)
 
 
 @compiled

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-Point = tuple[float, float, float]
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 
-GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
+Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,8 @@ CAR = VehicleBody(
         heave=Mode(1.3, 0.30),
         pitch=Mode(1.5, 0.30),
         roll=Mode(1.7, 0.25),
-        dive_rad_s2_m=math.radians(1.5) / GRAVITY_M_S2,
-        lean_rad_s2_m=math.radians(4.0) / GRAVITY_M_S2,
+        dive_rad_s2_m=math.radians(1.5) / STANDARD_GRAVITY_M_S2,
+        lean_rad_s2_m=math.radians(4.0) / STANDARD_GRAVITY_M_S2,
         sinking_m_kg=1.0e-4,
         nose_up_rad_kg=6.0e-5,
         tyre_shrinking_m_kg=1.0e-5,

@@ -15,19 +15,20 @@ from typing import Final
 
 import numpy as np
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.schemas.motion import Imu, ImuClass, MountedImu
 from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Trajectory
-from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
+from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.inertial_motion import InertialMotion, inertial_motion
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_clock import DriftingClock, quantised
 
 _DEG_H: Final = math.radians(1.0) / 3600.0
-_MG: Final = 1e-3 * GRAVITY_M_S2
+_MG: Final = 1e-3 * STANDARD_GRAVITY_M_S2
 _SQRT_H: Final = 60.0  # √(3600 s)
 _BRACKET_SIGMA_RAD: Final = math.radians(0.5)  # chosen: half of what a bracket without alignment has
 _ALLAN_PEAK: Final = (
@@ -95,8 +96,8 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
             bias_sigma=20.0 * _MG,  # ± 40 mg as two sigma
             scale_sigma=0.005,  # chosen, as the next: of such sensors 0.5 to 1 %
             misalignment_sigma_rad=0.005,  # cross-axis sensitivity
-            step=16.0 / 65536.0 * GRAVITY_M_S2,
-            limit=8.0 * GRAVITY_M_S2,
+            step=16.0 / 65536.0 * STANDARD_GRAVITY_M_S2,
+            limit=8.0 * STANDARD_GRAVITY_M_S2,
         ),
     ),
     # Analog Devices ADIS16465-1, ADIS16475: 0.15 °/√h, 2 to 3 °/h in run; 0.012 m/s/√h, 3.6 µg in run; 16 bits:
@@ -118,7 +119,7 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
             scale_sigma=0.001,  # chosen: what factory calibration leaves over temperature
             misalignment_sigma_rad=math.radians(0.05),
             step=0.25 * _MG,
-            limit=8.0 * GRAVITY_M_S2,
+            limit=8.0 * STANDARD_GRAVITY_M_S2,
         ),
     ),
     # Sensonor STIM300, data sheet TS1524, 10 g: 0.15 °/√h, 0.5 °/h, bias range ± 250 °/h, 500 ppm, 1 mrad, ± 400 °/s;
@@ -139,8 +140,8 @@ UNITS: Final[dict[ImuClass, InertialUnit]] = {
             bias_sigma=0.75 * _MG,
             scale_sigma=300e-6,
             misalignment_sigma_rad=1e-3,
-            step=2.0**-19 * GRAVITY_M_S2,
-            limit=10.0 * GRAVITY_M_S2,
+            step=2.0**-19 * STANDARD_GRAVITY_M_S2,
+            limit=10.0 * STANDARD_GRAVITY_M_S2,
         ),
     ),
 }

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.simulator.injected_faults import ChangedLoad, ChangedTyre, Fault, WheelSlip, vehicle_effect
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations
-from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
+from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.cubic_curve import CubicCurve
 from camber.simulator.vehicle.driven_path import DrivenPath, contact_curve
 from camber.simulator.vehicle.speed_profile import DRIVER, progress_along
@@ -141,8 +142,8 @@ def _posed(body: VehicleBody, rolling: _Rolling, faults: Sequence[Fault], time_s
         radius_rate = radius_rate - springs.tyre_shrinking_m_kg * load_rate
         step_s = 1.0 / RATE_HZ
         # Specific force: what the springs feel, on a slope the weight as well.
-        forward = rolling.acceleration_m_s2 - GRAVITY_M_S2 * np.sin(road_pitch)
-        left = rolling.speed_m_s * rolling.yaw_rate_rad_s + GRAVITY_M_S2 * np.sin(road_roll)
+        forward = rolling.acceleration_m_s2 - STANDARD_GRAVITY_M_S2 * np.sin(road_pitch)
+        left = rolling.speed_m_s * rolling.yaw_rate_rad_s + STANDARD_GRAVITY_M_S2 * np.sin(road_roll)
         axle, axle_rate = road[:, 1] + radius, rate[:, 1] + radius_rate
         up, up_rate = sprung(springs.heave, axle, -springs.sinking_m_kg * load, step_s)
         dive = -springs.dive_rad_s2_m * forward - springs.nose_up_rad_kg * load

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from camber.geodesy.gravity import STANDARD_GRAVITY_M_S2
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.simulator.injected_faults import ChangedLoad, ChangedTyre, WheelSlip
 from camber.simulator.scene import Floats, Path, Trajectory
-from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
+from camber.simulator.vehicle.body import CAR, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.speed_profile import DRIVER
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
@@ -115,8 +116,11 @@ def test_at_rest_the_body_is_posed_as_in_closed_form(body: VehicleBody, slopes: 
     on_road = np.column_stack((ahead, np.cross(normal, ahead), normal))
     pitch, roll = -np.arctan(slopes[0]), np.arcsin(on_road[2, 1] / np.cos(np.arctan(slopes[0])))
     if body.suspension is not None:
-        leaning = body.suspension.lean_rad_s2_m * GRAVITY_M_S2 * np.sin(roll)
-        pitch, roll = pitch + body.suspension.dive_rad_s2_m * GRAVITY_M_S2 * np.sin(pitch), roll + leaning
+        leaning = body.suspension.lean_rad_s2_m * STANDARD_GRAVITY_M_S2 * np.sin(roll)
+        pitch, roll = (
+            pitch + body.suspension.dive_rad_s2_m * STANDARD_GRAVITY_M_S2 * np.sin(pitch),
+            roll + leaning,
+        )
     assert t.pitch_rad[0] == pytest.approx(pitch, abs=1e-9)
     assert t.roll_rad[0] == pytest.approx(roll, abs=1e-9)
     centre = np.array([0.5 * body.wheelbase_m, 0.0, body.tyre_radius_m])
