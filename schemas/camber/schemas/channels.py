@@ -87,6 +87,7 @@ _LATE_S = dict.fromkeys(("motion", "imu"), (("localizer", 5.0),))
 old sample is dated, so its consumers refuse it."""
 _NOTES = {
     "receiver_bytes": "native bytes, where the receiver is not attached to gnss itself: replays",
+    "pose": "with an inertial unit 50 Hz, one per 20 ms step of the unit",
     "verdict": "confirmed positions anchor the localizer's next pose",
     "scan_match_points": "only while somebody subscribes",
     "map_root": "after a notice, and now and then: notices can be lost",
