@@ -41,7 +41,7 @@ from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rinex.writer import StationHeader, navigation_text, observation_lines
 from camber.formats.ros.message_types import message_types
-from camber.formats.ros.point_cloud2 import point_layout, sweep_from_point_cloud2
+from camber.formats.ros.point_cloud2 import POINT_CLOUD2, point_cloud2, point_layout, sweep_from_point_cloud2
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import (
     format_ephemeris,
@@ -102,7 +102,7 @@ from support.opendrive_maps import opendrive_bytes
 from support.random_msm import any_msm
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 from support.rinex2_writer import Epoch2, labelled, navigation_text_2, observation_text_2, types_lines
-from support.ros_bags import MAKERS, point_cloud2_bytes
+from support.ros_bags import LIVOX, MAKERS, livox_bytes, point_cloud2_bytes
 from support.sbf_blocks import (
     END_OF_PVT,
     GAL_AUTH_STATUS,
@@ -449,25 +449,33 @@ def _clouds(random: Random) -> list[list[bytes]]:
     return [[cloud_from_sweep(build(Sweep, random, filled=filled))] for filled in (False, True)]
 
 
-def _point_clouds(random: Random) -> list[list[bytes]]:
+def _random_sweep(random: Random) -> Sweep:
     rng = np.random.default_rng(random.getrandbits(32))
-    sweep = Sweep(
+    return Sweep(
         time_ns=1_400_000_000 * 10**9,
         sensor="lidar",
         points_m=rng.normal(0.0, 20.0, (20, 3)).astype(np.float32),
         intensity=rng.random(20, np.float32),
         offset_ns=1000 * np.arange(-19, 1, dtype=np.int32),
     )
+
+
+def _point_clouds(random: Random) -> list[list[bytes]]:
+    sweep = _random_sweep(random)
     return [[point_cloud2_bytes(sweep, maker, big_endian=big)] for maker in MAKERS for big in (False, True)]
 
 
-def _read_point_cloud2(data: bytes) -> None:
+def _livox_sweeps(random: Random) -> list[list[bytes]]:
+    return [[livox_bytes(_random_sweep(random))]]
+
+
+def _read_point_cloud(data: bytes, kind: str) -> None:
     try:
-        message = message_types().deserialize_cdr(data, "sensor_msgs/msg/PointCloud2")
+        message = message_types().deserialize_cdr(data, kind)
     except Exception as error:  # as `camber.formats.ros.bag_reader`
-        raise FormatError("fuzz", "message", "a PointCloud2") from error
-    layout = point_layout(message, "fuzz")
-    sweep_from_point_cloud2(message, layout, "fuzz", "lidar")
+        raise FormatError("fuzz", "message", f"a {kind}") from error
+    cloud = point_cloud2(message, kind)
+    sweep_from_point_cloud2(cloud, point_layout(cloud, "fuzz"), "fuzz", "lidar")
 
 
 def _pcd(random: Random) -> list[list[bytes]]:
@@ -759,7 +767,13 @@ DECODERS: tuple[Target, ...] = (
     Target("messages", _messages, read=_read_message, refusal=DecodeError),
     Target("recorded_messages", _recorded, read=_read_recorded, refusal=DecodeError),
     Target("recorded_sweeps", _clouds, read=sweep_from_cloud, refusal=DecodeError),
-    Target("point_cloud2", _point_clouds, read=_read_point_cloud2, refusal=FormatError),
+    Target(
+        "point_cloud2",
+        _point_clouds,
+        read=partial(_read_point_cloud, kind=POINT_CLOUD2),
+        refusal=FormatError,
+    ),
+    Target("livox_custom", _livox_sweeps, read=partial(_read_point_cloud, kind=LIVOX), refusal=FormatError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
     Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),

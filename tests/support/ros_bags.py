@@ -36,6 +36,8 @@ STATUS_OF_QUALITY = {
 }
 """As GPSStatus has it; a NavSatFix of both, FIX and FLOAT, is GBAS_FIX (2)."""
 _GPS = ("gps_msgs/msg/GPSStatus", "gps_msgs/msg/GPSFix", "rtcm_msgs/msg/Message", "mavros_msgs/msg/RTCM")
+LIVOX = "livox_ros_driver2/msg/CustomMsg"
+LIVOX_ROS1 = "livox_ros_driver/msg/CustomMsg"
 _DATATYPES = {"u1": 2, "u2": 4, "u4": 6, "f4": 7, "f8": 8}
 
 
@@ -47,6 +49,10 @@ class BagWriter:
         self.store = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.ROS2_HUMBLE)
         for name in _GPS:
             self.store.register(get_types_from_msg(definition_text(name), name))
+        for package in ("livox_ros_driver2", "livox_ros_driver"):
+            for name in ("CustomPoint", "CustomMsg"):
+                text = definition_text(f"livox_ros_driver2/msg/{name}")
+                self.store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
         if self._ros1:
             frames = "geometry_msgs/TransformStamped[] transforms"
             self.store.register(get_types_from_msg(frames, "tf2_msgs/msg/TFMessage"))
@@ -145,6 +151,32 @@ class BagWriter:
                 for name, offset, datatype in fields["fields"]
             ],
             **{name: value for name, value in fields.items() if name != "fields"},
+        )
+
+    def livox_message(self, sweep: Sweep, kind: str = LIVOX) -> Any:
+        """A sweep as Livox's driver publishes it: whole intensities up to 255."""
+        at_ns = unix_ns_from_gps_ns(sweep.time_ns) + sweep.offset_ns.astype(np.int64)
+        begin_ns = int(at_ns.min())
+        columns = zip(at_ns - begin_ns, sweep.points_m, sweep.intensity, strict=True)
+        points = [
+            self.new(
+                kind.replace("CustomMsg", "CustomPoint"),
+                offset_time=int(after_ns),
+                **dict(zip("xyz", map(float, xyz), strict=True)),
+                reflectivity=int(intensity),
+                tag=16,
+                line=k % 4,
+            )
+            for k, (after_ns, xyz, intensity) in enumerate(columns)
+        ]
+        return self.new(
+            kind,
+            header=self.header(begin_ns, "livox_frame"),
+            timebase=begin_ns,
+            point_num=len(points),
+            lidar_id=0,
+            rsvd=np.zeros(3, np.uint8),
+            points=points,
         )
 
     def static_transforms(
@@ -251,6 +283,12 @@ def point_cloud2_bytes(sweep: Sweep, maker: str, **options: bool) -> bytes:
     """The same as CDR."""
     message = cloud_message(sweep, maker, **options)
     return bytes(BagWriter("mcap", None).store.serialize_cdr(message, POINT_CLOUD2))
+
+
+def livox_bytes(sweep: Sweep) -> bytes:
+    """A sweep as Livox's CustomMsg, as CDR."""
+    writer = BagWriter("mcap", None)
+    return bytes(writer.store.serialize_cdr(writer.livox_message(sweep), LIVOX))
 
 
 def cloud_fields(sweep: Sweep, maker: str, *, big_endian: bool = False) -> tuple[int, dict[str, Any]]:

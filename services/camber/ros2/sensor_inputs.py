@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from camber.formats.errors import FormatError
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.ros.message_types import gps_time_ns, stamp_unix_ns
-from camber.formats.ros.point_cloud2 import point_layout, sweep_from_point_cloud2
+from camber.formats.ros.point_cloud2 import point_cloud2, point_layout, sweep_from_point_cloud2
 from camber.formats.ros.sensor_messages import imu_of, motion_of, solution_of
 from camber.formats.ros.static_frames import StaticFrames
 from camber.geodesy.gps_time import NS_PER_SECOND
@@ -60,10 +60,11 @@ class SensorTopic:
 
     def _converted(self, content: Any, sensor: str) -> Message | None:
         if self.channel == "sweep":
-            layout = point_layout(content, self.name)
+            cloud = point_cloud2(content, self.kind)
+            layout = point_layout(cloud, self.name)
             if layout.time is None:
                 self.counts["without_point_times"] += 1
-            return sweep_from_point_cloud2(content, layout, self.name, sensor)
+            return sweep_from_point_cloud2(cloud, layout, self.name, sensor)
         time_ns = gps_time_ns(stamp_unix_ns(content), self.name)
         if self.channel == "motion":
             return motion_of(content, time_ns)

@@ -101,7 +101,7 @@ class Ros2Service(Service[Ros2Settings]):
     def _subscribed(self) -> list[tuple[SensorTopic, RosSubscription]]:
         inputs = self.settings.inputs
         topics = (
-            SensorTopic(name=inputs.lidar, kind="sensor_msgs/msg/PointCloud2", channel="sweep"),
+            SensorTopic(name=inputs.lidar, kind=inputs.lidar_type, channel="sweep"),
             SensorTopic(name=inputs.motion, kind=inputs.motion_type, channel="motion"),
             SensorTopic(name=inputs.imu, kind=IMU_TYPE, channel="imu"),
             SensorTopic(name=inputs.receiver, kind=inputs.receiver_type, channel="receiver_bytes"),

@@ -22,7 +22,10 @@ class RosInputs(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    lidar: OptionalTopicName = Field("/points", description="PointCloud2, published as sweeps; empty: none")
+    lidar: OptionalTopicName = Field("/points", description="a point cloud, published as sweeps; empty: none")
+    lidar_type: Literal["sensor_msgs/msg/PointCloud2", "livox_ros_driver2/msg/CustomMsg"] = Field(
+        "sensor_msgs/msg/PointCloud2", description="type of `lidar`"
+    )
     lidar_name: Name = Field("lidar", description="the sensor's name in its sweeps")
     motion: OptionalTopicName = Field("/odom", description="speed and yaw rate of the vehicle; empty: none")
     motion_type: Literal[

@@ -16,6 +16,7 @@ from camber.schemas.base import EARLIEST_NS, LATEST_NS
 VERDICT_TYPE = "camber_msgs/msg/Verdict"
 _SHIPPED = (
     *("gps_msgs/msg/GPSStatus", "gps_msgs/msg/GPSFix", "rtcm_msgs/msg/Message", "mavros_msgs/msg/RTCM"),
+    *("livox_ros_driver2/msg/CustomPoint", "livox_ros_driver2/msg/CustomMsg"),
     VERDICT_TYPE,
 )
 

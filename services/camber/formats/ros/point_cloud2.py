@@ -15,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
+from camber.formats.ros.livox_points import LIVOX_TYPES, point_cloud2_of_livox
 from camber.formats.ros.message_types import gps_time_ns, stamp_unix_ns
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.schemas.base import Float32, Int64
 from camber.schemas.lidar import Sweep
+
+POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
+CLOUD_TYPES = (POINT_CLOUD2, *LIVOX_TYPES)
 
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8", 9: "i8", 10: "u8"}
 """numpy's codes of PointField's constants; the last two are of Lyrical."""
@@ -62,6 +66,11 @@ class PointLayout:
     row: np.dtype[Any]
     time: PointTimeField | None
     no_time: str
+
+
+def point_cloud2(message: Any, kind: str) -> Any:
+    """Return a message of one of `CLOUD_TYPES` as a PointCloud2."""
+    return message if kind == POINT_CLOUD2 else point_cloud2_of_livox(message)
 
 
 def point_layout(message: Any, topic: str) -> PointLayout:

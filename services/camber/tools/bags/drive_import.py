@@ -21,7 +21,7 @@ from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_lin
 from camber.formats.receiver.solution import SolutionQuality
 from camber.formats.ros.bag_reader import Bag, BagMessage, BagTopic, StampCheck
 from camber.formats.ros.message_types import stamp_unix_ns
-from camber.formats.ros.point_cloud2 import PointLayout, point_layout, sweep_from_point_cloud2
+from camber.formats.ros.point_cloud2 import PointLayout, point_cloud2, point_layout, sweep_from_point_cloud2
 from camber.formats.ros.sensor_messages import imu_of, motion_of, solution_of
 from camber.formats.ros.static_frames import StaticFrames
 from camber.schemas.base import Float64
@@ -167,8 +167,9 @@ def _take(bag: Bag, message: BagMessage, check: StampCheck, *, parts: DriveParts
 
 
 def _write_sweep(content: Any, tally: TopicTally, *, parts: DriveParts, folder: Path) -> None:
-    layout = point_layout(content, tally.topic.name)
-    sweep = sweep_from_point_cloud2(content, layout, tally.topic.name, SENSOR)
+    cloud = point_cloud2(content, tally.topic.kind)
+    layout = point_layout(cloud, tally.topic.name)
+    sweep = sweep_from_point_cloud2(cloud, layout, tally.topic.name, SENSOR)
     base_from_sensor = parts.base_from(content.header.frame_id)
     if base_from_sensor is not None and np.abs(base_from_sensor[:3, :3] - np.eye(3)).max() > _SAME_AXES:
         turned = (sweep.points_m @ base_from_sensor[:3, :3].T).astype(np.float32)

@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("bag", type=Path, nargs="+", metavar="BAG", help="the bag")
     add("--out", type=Path, required=True, metavar="DRIVE", help="folder to write")
-    add("--lidar", metavar="TOPIC", help="PointCloud2 to take, where there are several")
+    add("--lidar", metavar="TOPIC", help="PointCloud2 or Livox CustomMsg to take, where there are several")
     add("--receiver", metavar="TOPIC", help="NavSatFix or GPSFix to take")
     add("--odometry", metavar="TOPIC", help="Odometry, TwistStamped or TwistWithCovarianceStamped to take")
     add("--imu", metavar="TOPIC", help="Imu to take")

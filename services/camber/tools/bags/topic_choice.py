@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from camber.formats.errors import FormatError
 from camber.formats.ros.bag_reader import BagTopic
+from camber.formats.ros.point_cloud2 import CLOUD_TYPES
 from camber.formats.ros.sensor_messages import IMU_TYPE, MOTION_TYPES, RECEIVER_TYPES
 
-POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 BYTES_TYPES = {
     "rtcm_msgs/msg/Message": "message",
     "mavros_msgs/msg/RTCM": "data",
@@ -49,7 +49,7 @@ class DriveTopics:
 
 def choose_topics(topics: Mapping[str, BagTopic], names: TopicNames, bag: str) -> DriveTopics:
     """Choose among the topics of a bag. Raises FormatError where a name is missing or needed, or nothing is usable."""
-    lidar = _choose(topics, "lidar", {POINT_CLOUD2}, names.lidar)
+    lidar = _choose(topics, "lidar", set(CLOUD_TYPES), names.lidar)
     receiver = _choose(topics, "receiver", set(RECEIVER_TYPES), names.receiver)
     odometry = _choose(topics, "odometry", set(MOTION_TYPES), names.odometry)
     imu = _choose(topics, "imu", {IMU_TYPE}, names.imu)
@@ -58,6 +58,7 @@ def choose_topics(topics: Mapping[str, BagTopic], names: TopicNames, bag: str) -
     if not (any(single) or raw):
         kinds = (
             "PointCloud2",
+            "Livox's CustomMsg",
             "NavSatFix",
             "GPSFix",
             "Odometry",

@@ -10,9 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.formats.errors import FormatError
-from camber.formats.ros.point_cloud2 import TIME_FIELDS, point_layout, sweep_from_point_cloud2
+from camber.formats.ros.point_cloud2 import (
+    TIME_FIELDS,
+    point_cloud2,
+    point_layout,
+    sweep_from_point_cloud2,
+)
 from camber.schemas.lidar import Sweep
-from support.ros_bags import MAKERS, cloud_message
+from support.ros_bags import LIVOX, LIVOX_ROS1, MAKERS, BagWriter, cloud_message
 
 TIME_NS = 1_400_000_000_123_456_789
 TOLERANCE_NS = {"ouster": 0, "velodyne": 8, "hesai": 240, "robosense": 240, "livox": 256}
@@ -64,6 +69,24 @@ def test_the_layout_of_each_maker_gives_the_same_points(
     assert abs(again.time_ns - sweep.time_ns) <= TOLERANCE_NS[maker]
     assert (np.diff(again.offset_ns) >= 0).all()
     assert again.offset_ns[-1] == 0
+
+
+@settings(max_examples=30, derandomize=True)
+@given(points=st.integers(1, 300), seed=st.integers(0, 2**32 - 1), kind=st.sampled_from((LIVOX, LIVOX_ROS1)))
+def test_a_custom_message_of_livox_gives_the_same_points(points: int, seed: int, kind: str) -> None:
+    sweep = sweep_of(points, seed)
+    cloud = point_cloud2(BagWriter("mcap", None).livox_message(sweep, kind), kind)
+    (points_m, intensity, at_ns), expected = by_coordinates(read(cloud)), by_coordinates(sweep)
+    assert np.array_equal(points_m, expected[0])
+    assert np.array_equal(intensity, np.floor(expected[1]))
+    assert np.array_equal(at_ns, expected[2])
+
+
+def test_a_custom_message_without_points_is_one_line() -> None:
+    message = BagWriter("mcap", None).livox_message(sweep_of(3, 1))
+    message.points = []
+    with pytest.raises(FormatError, match=r"/points: height × width is '0', expected 1 to"):
+        read(point_cloud2(message, LIVOX))
 
 
 def test_each_maker_of_the_table_is_tried() -> None:

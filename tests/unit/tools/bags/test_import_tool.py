@@ -24,7 +24,16 @@ from camber.simulator.scenario import load_scenario
 from camber.tools.bags import import_command
 from camber.tools.simulate import simulate
 from support.refusals import Refused
-from support.ros_bags import NS, BagKind, BagWriter, bag_writer, cloud_fields, write_drive_bag
+from support.ros_bags import (
+    LIVOX,
+    LIVOX_ROS1,
+    NS,
+    BagKind,
+    BagWriter,
+    bag_writer,
+    cloud_fields,
+    write_drive_bag,
+)
 
 UNIX_NS = 1_716_000_000 * NS
 SOLUTION = ReceiverSolution(
@@ -224,6 +233,24 @@ def test_an_imu_that_measures_only_half_is_one_line(tmp_path: Path, refused: Ref
     assert f"/imu/data: {name}_covariance is '-1', expected not -1" in line
 
 
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+def test_sweeps_of_a_livox_in_its_drivers_message_are_taken(tmp_path: Path, kind: BagKind) -> None:
+    sweep, message_kind = sweep_at(UNIX_NS), LIVOX_ROS1 if kind == "ros1" else LIVOX
+
+    def fill(bag: BagWriter) -> None:
+        bag.write("/livox/lidar", message_kind, UNIX_NS, bag.livox_message(sweep, message_kind))
+
+    bag = made(tmp_path / ("bag.bag" if kind == "ros1" else "bag"), fill, kind)
+    manifest = imported(bag, tmp_path / "drive")
+    assert manifest.sweeps is not None
+    (file,) = sweep_files(manifest.sweeps.folder)[0]
+    taken = file.read()
+    assert taken.time_ns == sweep.time_ns
+    assert np.array_equal(
+        taken.points_m[np.lexsort(taken.points_m.T)], sweep.points_m[np.lexsort(sweep.points_m.T)]
+    )
+
+
 def test_of_two_lidars_one_must_be_chosen(tmp_path: Path, refused: Refused) -> None:
     def fill(bag: BagWriter) -> None:
         add_sweep(bag, "/front/points", UNIX_NS)
@@ -257,7 +284,7 @@ def test_a_bag_of_other_things_is_one_line(tmp_path: Path, refused: Refused) -> 
         bag.write("/note", "std_msgs/msg/String", UNIX_NS, bag.new("std_msgs/msg/String", data="x"))
 
     line = refused(import_command.main, made(tmp_path / "bag", fill), "--out", tmp_path / "drive")
-    assert "expected one of PointCloud2, NavSatFix, GPSFix" in line
+    assert "expected one of PointCloud2, Livox's CustomMsg, NavSatFix, GPSFix" in line
     assert "it has /note (std_msgs/msg/String, 1)" in line
 
 
