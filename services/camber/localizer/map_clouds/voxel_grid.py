@@ -41,7 +41,8 @@ def rows_thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) ->
     points_m = np.ascontiguousarray(points_m, dtype=np.float64)
     rows: Integers = np.arange(len(points_m))
     while len(rows) > at_most:
-        rows = rows[first_of_voxels(points_m[rows], voxel_m)]
+        first = first_of_voxels(points_m, voxel_m)
+        rows, points_m = rows[first], points_m[first]
         voxel_m *= max(_COARSER, 0.9 * math.sqrt(len(rows) / at_most))
     return rows
 

@@ -179,12 +179,12 @@ def normal_equations(
     inliers = np.zeros(len(source_m), np.bool_)
     weight = square = 0.0
     if not target.empty and len(source_m):
-        rows, distance_m = correspondences
         shift, turn = _parameter_motions(transform, free)
         weight, square = _accumulate(
             planes=_Planes(target.points_m, target.normals, target.thickness_m, target.normal_variance_rad2),
             points_m=transform_points(transform, source_m),
-            rows=np.where(distance_m <= max_distance_m, rows, -1),
+            correspondences=correspondences,
+            max_distance_m=max_distance_m,
             motions=_Motions(np.ascontiguousarray(transform[:3, 3]), shift, turn),
             noise_m2=NOISE_M**2 + scale_m**2,
             sums=_Sums(matrix, noise, gradient),
@@ -281,22 +281,24 @@ class _Sums(NamedTuple):
 def _accumulate(
     planes: _Planes,
     points_m: Floats,
-    rows: Integers,
+    correspondences: Correspondences,
+    max_distance_m: float,
     motions: _Motions,
     noise_m2: float,
     sums: _Sums,
     inliers: Mask,
 ) -> tuple[float, float]:
-    """Fill the sums and the inliers; return the sums of robust weights and of squares. Rows of −1 are not paired."""
+    """Fill the sums and the inliers; return the sums of robust weights and of squares."""
+    rows, distance_m = correspondences
     matrix, noise, gradient = sums
     origin_m, shift, turn = motions
     normals = planes.normals
     sum_weight, sum_square = 0.0, 0.0
     motion, j = np.empty((3, 3)), np.empty(3)
     for i in range(len(points_m)):
-        m = rows[i]
-        if m < 0:
+        if not distance_m[i] <= max_distance_m:
             continue
+        m = rows[i]
         x, y, z = points_m[i, 0] - origin_m[0], points_m[i, 1] - origin_m[1], points_m[i, 2] - origin_m[2]
         residual = 0.0
         for d in range(3):
