@@ -226,10 +226,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=4, help="of each direction")
+    parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--reference", default="assumed", choices=("assumed", "required"))
     args = parser.parse_args(argv)
-    jobs = [(*days, args.reference, seed) for seed in range(1, args.drives + 1) for days in BOTH_DAYS]
+    seeds = range(args.first_seed, args.first_seed + args.drives)
+    jobs = [(*days, args.reference, seed) for seed in seeds for days in BOTH_DAYS]
     total: dict[str, Counts] = {}
     with ProcessPoolExecutor(args.processes, mp_context=get_context("spawn")) as pool:
         for job, counts in zip(jobs, pool.map(_job, jobs), strict=True):
