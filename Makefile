@@ -84,7 +84,7 @@ compile-simulator: setup
 # marker `timed`) comes last, three files at once: each uses a quarter of a processor. The judge's pure modules must be
 # covered whole by their own tests; those of many drives (the marker `slow`) run without counting lines, twice as fast.
 define TESTS
-$(BIN)/python -m pytest -n 5 --dist loadfile -m 'not timed' tests/integration tests/container tests/web
+$(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder -m 'not timed' tests/integration tests/container tests/web
 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' --ignore tests/unit/integrity \
 	tests/replay tests/architecture tests/contract tests/fuzz tests/unit
 $(BIN)/python -m pytest -n 2 --dist load -m 'not slow' tests/unit/integrity --cov

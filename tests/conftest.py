@@ -8,6 +8,7 @@ import signal
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import pytest
 from hypothesis import settings
 
 # Whoever starts the tests in the background of a shell has Ctrl-C ignored, and so would all processes they start.
@@ -17,3 +18,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # A busy machine takes any time over an example; what must be quick has a benchmark.
 settings.register_profile("camber", deadline=None)
 settings.load_profile("camber")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first: begun last, one of them would leave the other workers without work."""
+    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in slow)
