@@ -15,6 +15,7 @@ and their information is zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias
@@ -236,12 +237,15 @@ def _parameter_motions(transform: Floats, free: Freedom) -> tuple[Floats, Floats
 
 def _rotation(turn: Floats) -> Floats:
     """Return the rotation of a rotation vector (3,), by Rodrigues' formula."""
-    angle = float(np.linalg.norm(turn))
-    x, y, z = turn
+    x, y, z = turn.tolist()
+    angle = math.hypot(x, y, z)
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    half = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    rotation: Floats = np.eye(3) + np.sinc(angle / np.pi) * k + half * (k @ k)
+    rotation: Floats = np.eye(3) + _sinc(angle) * k + 0.5 * _sinc(0.5 * angle) ** 2 * (k @ k)
     return rotation
+
+
+def _sinc(angle_rad: float) -> float:
+    return math.sin(angle_rad) / angle_rad if angle_rad else 1.0
 
 
 def _motion_m(a: Floats, b: Floats) -> float:
