@@ -17,6 +17,12 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
 from camber.compiled.disk_cache import MachineCodeCache
+from camber.compiled.parallel_compilation import (
+    end_with_part,
+    function_name,
+    is_interpreted,
+    wait_for_other_process,
+)
 
 _core: Any = numba.core  # only parts of numba are typed
 
@@ -34,6 +40,16 @@ class EntryDispatcher(CPUDispatcher):
             pipeline_class=_LinkedCompiler,
         )
         self._cache = MachineCodeCache(self)
+
+    def _compile_for_args(self, *args: Any, **named: Any) -> Any:
+        """Return what is to be called: numba asks for it where there is no machine code in memory."""
+        name = function_name(self.py_func)
+        if is_interpreted(name):
+            return self.py_func
+        wait_for_other_process(name)
+        compiled = super()._compile_for_args(*args, **named)  # type: ignore[misc]
+        end_with_part(name)
+        return compiled
 
     @property
     def _numba_type_(self) -> Any:

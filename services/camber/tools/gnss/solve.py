@@ -25,7 +25,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine
-from camber.gnss.warm_up import ENGINE_FUNCTIONS, warm_up
+from camber.gnss.warm_up import ENGINE_FUNCTIONS, engine_compiled_in_parallel, warm_up
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
@@ -100,7 +100,7 @@ def _load(
     rover: Path, base: Path, ephemerides: Sequence[Path], *, base_ecef_m: tuple[float, float, float] | None
 ) -> RawRecording:
     """Read the files and compile the engine, as far as that was not done before."""
-    with compilation_bar(RINEX_FUNCTIONS + ENGINE_FUNCTIONS):
+    with compilation_bar(RINEX_FUNCTIONS + ENGINE_FUNCTIONS), engine_compiled_in_parallel():
         recording = load_raw(rover, base, ephemerides, base_ecef_m=base_ecef_m)
         warm_up(subsets=False)
     return recording
