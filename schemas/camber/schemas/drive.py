@@ -53,14 +53,14 @@ def _native(value: Any, info: ValidationInfo) -> Path:
 def _native_file(value: Any, info: ValidationInfo) -> Path:
     path = _native(value, info)
     if not path.is_file():
-        raise PydanticCustomError("path", "there is no such file")
+        raise PydanticCustomError("path", "there is no such file: {path}", {"path": str(path.absolute())})
     return path
 
 
 def _native_folder(value: Any, info: ValidationInfo) -> Path:
     path = _native(value, info)
     if not path.is_dir():
-        raise PydanticCustomError("path", "there is no such folder")
+        raise PydanticCustomError("path", "there is no such folder: {path}", {"path": str(path.absolute())})
     return path
 
 
@@ -122,7 +122,7 @@ class Sweeps(Model):
 class MapRelease(Model):
     """The map the vehicle drives with."""
 
-    release: Folder = Field(description="folder of a map release (camber.schemas.road)")
+    release: Folder = Field(description="folder of a map release")
 
 
 class Truth(Model):

@@ -130,7 +130,8 @@ def _write_issues(folder: Path, inputs: DriveInputs, output: DriveOutput) -> Non
     lines: dict[str, list[str]] = {}
     for issue in output.issues:
         at_s = (issue.time_ns - inputs.tick_times_ns[0]) / 1e9
-        lines.setdefault(issue.service, []).append(f"{at_s:.3f} s {issue.code}: {issue.text}\n")
+        when = f"{at_s:.3f} s" if issue.time_ns else "before the drive"
+        lines.setdefault(issue.service, []).append(f"{when} {issue.code}: {issue.text}\n")
     for service, of_service in lines.items():
         (folder / f"{service}.log").write_text("".join(of_service), "utf-8")
 

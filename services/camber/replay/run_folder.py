@@ -17,6 +17,7 @@ import json
 import struct
 import zipfile
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -25,6 +26,7 @@ from pydantic import Field, ValidationError
 
 from camber.formats.errors import FormatError
 from camber.replay.drive_inputs import DriveInputs
+from camber.road_map.release import ReleaseError, open_release
 from camber.schemas.base import Model, Sigma
 from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of
 
@@ -74,12 +76,22 @@ def drive_facts(inputs: DriveInputs, folder: Path | None = None) -> DriveFacts:
         release = release.relative_to(folder.resolve())
     return DriveFacts(
         drive=manifest.name,
-        surrogates=manifest.surrogate_notes(),
+        surrogates=(*manifest.surrogate_notes(), *_notes_of_map(inputs)),
         truth=inputs.truth is not None,
         offset_enu_m=offset_of(manifest),
         alert_limit_m=manifest.alert_limit_m,
         map_release=None if release is None else str(release),
     )
+
+
+def _notes_of_map(inputs: DriveInputs) -> list[str]:
+    """Return what a map that the manifest names says of itself, if it is no survey."""
+    if inputs.manifest.map is None or inputs.map_release is None:
+        return []
+    with suppress(ReleaseError):  # the map server reports a map that cannot be read
+        surrogate = open_release(inputs.map_release).manifest.surrogate
+        return [f"map: {surrogate}"] if surrogate else []
+    return []
 
 
 class RunFacts(Model):

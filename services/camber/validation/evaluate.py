@@ -13,9 +13,12 @@ from camber.formats.drive.recording import Recorded, load_recording
 from camber.formats.errors import FormatError
 from camber.replay.run_folder import DriveFacts, RunFolder
 from camber.road_map.release import Release, ReleaseError, open_release
+from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.report.chart_data import CHART_CHANNELS, chart_data
 from camber.validation.report.page import render
+
+_REASONS_SHOWN = 3  # chosen: a line
 
 
 def evaluate_folder(
@@ -91,15 +94,30 @@ def main(argv: Sequence[str]) -> int:
 
 
 def headline(summary: dict[str, Any]) -> str:
-    """The most important statistics as text for a terminal."""
+    """The most important statistics as text for a terminal; those of the truth where there is one."""
     confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
+    epochs, known = summary["epochs"], summary["truth"]
+    fixes = f"{summary['tentative']['fixed']} fixes"
+    fixes += f", {_text(summary['tentative']['wrong'])} of them wrong" if known else ""
+    wrong = f", wrong among them {_text(confirmed['wrong'])}" if known else ""
     lines = [
-        f"{summary['drive']}: {summary['epochs']} epochs, {summary['tentative']['fixed']} fixes, "
-        f"{_text(summary['tentative']['wrong'])} of them wrong",
-        f"confirmed {confirmed['count']}, wrong among them {_text(confirmed['wrong'])}; "
-        f"right fixes kept {_text(right['kept'], percent=True)}; "
-        f"wrong episodes missed {_text(episodes['missed'])} of {_text(episodes['n'])}",
+        f"{summary['drive']}: {epochs} epochs, {fixes}",
+        f"confirmed {confirmed['count']}{wrong}; unknown {summary['unknown']['count']}, "
+        f"{summary['unknown']['of_fixed']} of them fixes; erroneous {summary['erroneous']['count']}",
     ]
+    if known:
+        lines.append(
+            f"right fixes kept {_text(right['kept'], percent=True)}; "
+            f"wrong episodes missed {_text(episodes['missed'])} of {_text(episodes['n'])}"
+        )
+    reasons = [
+        f"{row['reason']} {row['count']}"
+        for row in summary["verdicts"]["by_reason"]
+        if row["verdict"] not in CONFIRMED_VERDICTS
+    ]
+    if reasons:
+        lines.append(f"not confirmed, most often: {', '.join(reasons[:_REASONS_SHOWN])}")
+    lines.append(f"position usable: {_text(summary['position']['usable'], percent=True)} of the epochs")
     lines += [f"surrogate: {text}" for text in summary["surrogates"]]
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from itertools import pairwise
 
+from camber.formats.receiver.solution import SolutionQuality
 from camber.formats.ros.sensor_messages import NAV_SAT_FIX
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
 from camber.tools.bags.drive_import import IMU, MOTION, POSITIONS, SWEEPS, DriveParts, TopicTally
@@ -15,17 +16,17 @@ from camber.tools.bags.raw_bytes import RawFile
 
 _LATEST_S = 1.0  # chosen: no driver takes longer from measurement to message; clocks differ by whole seconds
 _MISSING = """\
-# missing: the map; `camber map build` makes a release
+# missing: the map, a folder that `camber map build` makes or that you were given, relative to this one
 # [map]
 # release = "map"
 
-# missing: the antenna's height above the road; without it no fix is confirmed
+# missing: the antenna's height above the road at rest; without it no fix is confirmed
+# z_m of [lever_arms.antenna] does not replace it; sigma_m contains the motion of the springs while driving
 # [antenna_height]
 # height_m = 1.80
 # sigma_m = 0.02
-
-# missing: a start, unless fixes give one: [initial_pose]
 """
+_NO_START = "\n# missing: a start, since no position is a fix: [initial_pose]\n"
 
 
 def imported_manifest(name: str, bags: Sequence[str], parts: DriveParts) -> str:
@@ -46,7 +47,9 @@ def imported_manifest(name: str, bags: Sequence[str], parts: DriveParts) -> str:
         _not_taken(parts),
     ]
     texts = ("\n".join(map(_printable, lines)) for lines in sections if lines)
-    return "\n\n".join(texts) + "\n\n" + _MISSING
+    receiver = parts.tally(parts.topics.receiver)
+    has_fixes = receiver is not None and receiver.qualities[SolutionQuality.FIX] > 0
+    return "\n\n".join(texts) + "\n\n" + _MISSING + ("" if has_fixes else _NO_START)
 
 
 def _printable(line: str) -> str:

@@ -117,7 +117,8 @@ def test_the_manifest_says_what_is_guessed_missing_and_not_taken(blind: Path, tm
         "# missing: wheel speed and yaw rate",
         "# missing: sweeps of a LiDAR",
         "# missing: [lever_arms.antenna]; no transform from 'gps' in /tf_static",
-        "# missing: the antenna's height above the road; without it no fix is confirmed",
+        "# missing: the antenna's height above the road at rest; without it no fix is confirmed",
+        "# missing: a start, since no position is a fix: [initial_pose]",
         "# guess: 'base_link' is on the road, below the middle of the rear axle",
         "# not taken: /note (std_msgs/msg/String, 1)",
     ):
