@@ -33,7 +33,7 @@ class _OtherProcess:
 
     def start(self, _: int | None) -> None:
         """Start it, where there is a processor for it and it is not that process itself."""
-        if _part or len(os.sched_getaffinity(0)) < 2:
+        if _part or usable_processors() < 2:
             return
         environment = {**os.environ, _PART_VARIABLE: ",".join(sorted(self.functions))}
         nothing = subprocess.DEVNULL
@@ -75,6 +75,13 @@ def compiled_in_parallel(module: str, functions: frozenset[str]) -> Iterator[Non
     finally:
         _other_processes.remove(other)
         other.end()
+
+
+def usable_processors() -> int:
+    """Return how many processors this process may use; all of the machine where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def function_name(function: Callable[..., Any]) -> str:

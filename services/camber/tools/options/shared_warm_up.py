@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from types import ModuleType
 
+from camber.compiled.parallel_compilation import usable_processors
 from camber.tools.options.compilation_bar import compilation_bar
 
 
@@ -21,7 +21,7 @@ def warm_up_all(modules: Sequence[ModuleType], functions: int, *, quiet: bool = 
     processes: dict[ModuleType, subprocess.Popen[bytes]] = {}
 
     def begin() -> None:
-        if (os.cpu_count() or 1) > 1:
+        if usable_processors() > 1:
             processes.update((module, _started(module)) for module in later)
 
     try:
