@@ -95,6 +95,7 @@ def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dic
     if not np.isfinite(line).all() or (gap_m > _GAP_M).any():
         at = float(s_m[int(np.argmax(np.append(gap_m, 0.0) > _GAP_M))])
         raise FormatError(file, f"road {road.identity}, planView", f"no gap after s {at:.2f}")
+    _check_lengths(road, file)
     offset_m = cubics_at(road.lane_offset, s_m)
     flat = not (len(road.shape) or len(road.crossfall_left) or len(road.crossfall_right))
     points: dict[int, Floats] = {}
@@ -115,6 +116,16 @@ def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dic
             points[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
             inner = outer
     return points
+
+
+def _check_lengths(road: OpenDriveRoad, file: str) -> None:
+    """Refuse a paramPoly3 that is longer or shorter than it says: places along it, and so heights, are not known."""
+    for part in road.geometries:
+        if part.shape == "paramPoly3":
+            length_m = float(_arc_lengths(part)[0][-1])
+            if not abs(length_m - part.length_m) <= _GAP_M:
+                field = f"road {road.identity}, geometry at s {part.s_m:g}, length"
+                raise FormatError(file, field, f"its curve's, {length_m:.2f}", actual=f"{part.length_m:g}")
 
 
 def _width_m(lane: OpenDriveLane, ds: Floats, inner_m: Floats) -> Floats | None:
@@ -217,8 +228,9 @@ def _along(part: PlanViewGeometry, s: Floats) -> Floats:
             v = a + u * (b + u * (c + u * d))
             turn = np.arctan(b + u * (2.0 * c + 3.0 * d * u))
         case _:
-            scale = part.length_m if part.normalised and part.length_m > 0.0 else 1.0
-            p = s / scale
+            table_m, table_p = _arc_lengths(part)
+            # Scaled to @length, which writers round: the geometry ends where p does and the next one begins.
+            p = np.interp(s, table_m * (part.length_m / max(table_m[-1], 1e-9)), table_p)
             (u, du), (v, dv) = (_parametric(part.numbers[k : k + 4], p) for k in (0, 4))
             turn = np.arctan2(dv, du)
     cos, sin = math.cos(part.heading_rad), math.sin(part.heading_rad)
@@ -248,12 +260,30 @@ def _integrated(s: Floats, c0: float, rate: float) -> tuple[Floats, Floats]:
 
 def _abscissa(numbers: Sequence[float], s: Floats, length_m: float) -> Floats:
     """Return u (n,) of a cubic v(u) at arc lengths s (n,)."""
-    _, b, c, d = numbers
-    u = np.linspace(0.0, max(length_m, 1e-9), int(min(max(length_m / 0.01, 16.0), 1e5)) + 1)
-    slope = b + u * (2.0 * c + 3.0 * d * u)
-    speed = np.sqrt(1.0 + slope**2)
-    along = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(u))))
-    return np.interp(s, along, u)
+    u = np.linspace(0.0, max(length_m, 1e-9), _table_steps(length_m) + 1)
+    _, slope = _parametric(numbers, u)
+    return np.interp(s, _cumulated(np.sqrt(1.0 + slope**2), u), u)
+
+
+def _arc_lengths(part: PlanViewGeometry) -> tuple[Floats, Floats]:
+    """Return arc lengths [m] and parameters p, both (n,) and ascending, of a paramPoly3.
+
+    p ends at 1 or at @length (ASAM OpenDRIVE 1.8.0, 9.6, pRange). In between it is not proportional to the arc length,
+    which s is: a curve that is passed at uneven speed would be metres off along the road, and off in height on a slope.
+    """
+    p = np.linspace(0.0, 1.0 if part.normalised else part.length_m, _table_steps(part.length_m) + 1)
+    (_, du), (_, dv) = (_parametric(part.numbers[k : k + 4], p) for k in (0, 4))
+    return _cumulated(np.hypot(du, dv), p), p
+
+
+def _table_steps(length_m: float) -> int:
+    # Chosen: a step of 1 cm, between which the speed of a road's curve is constant to micrometres.
+    return int(min(max(length_m / 0.01, 16.0), 1e5))
+
+
+def _cumulated(speed: Floats, parameter: Floats) -> Floats:
+    """Integrate (n,) by the trapezoidal rule."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(parameter))))
 
 
 def _parametric(numbers: Sequence[float], p: Floats) -> tuple[Floats, Floats]:

@@ -113,14 +113,50 @@ def test_a_cubic_is_parametrised_by_arc_length() -> None:
     np.testing.assert_allclose((q * np.sqrt(1.0 + q**2) + np.arcsinh(q)) / (4.0 * 0.02), s, atol=1e-5)
 
 
+def curve_by_dense_sums(numbers: tuple[float, ...], last: float) -> tuple[Floats, Floats]:
+    """Arc lengths and places (n,), (n, 2) of a parametric cubic, from a million chords."""
+    p = np.linspace(0.0, last, 1_000_001)
+    places = np.column_stack([np.polynomial.polynomial.polyval(p, numbers[k : k + 4]) for k in (0, 4)])
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(places, axis=0).T))), places
+
+
 @pytest.mark.parametrize("normalised", [True, False])
-def test_a_parametric_cubic_with_both_ranges_of_its_parameter(normalised: bool) -> None:
-    scale = 1.0 if normalised else 1.0 / 20.0
-    numbers = (0.0, 20.0 * scale, 0.0, 0.0, 0.0, 0.0, 3.0 * scale**2, 0.0)
-    part = geometry("paramPoly3", 20.0, numbers, normalised=normalised)
-    line = reference_line(road("1", [part], []), np.array([0.0, 10.0, 20.0]))
-    np.testing.assert_allclose(line[:, :2], [(0.0, 0.0), (10.0, 0.75), (20.0, 3.0)], atol=1e-12)
-    assert line[2, 2] == pytest.approx(math.atan2(6.0, 20.0))
+@pytest.mark.parametrize(
+    "unit_numbers",
+    [
+        (0.0, 15.0, 120.0, -75.0, 0.0, 0.0, 30.0, -10.0),  # slow at both ends
+        (0.0, 90.0, -60.0, 30.0, 0.0, 0.0, -20.0, 35.0),  # slow in the middle
+    ],
+)
+def test_a_parametric_cubic_is_placed_by_arc_length_with_both_ranges_of_its_parameter(
+    unit_numbers: tuple[float, ...], normalised: bool
+) -> None:
+    length_m = float(curve_by_dense_sums(unit_numbers, 1.0)[0][-1])
+    last = 1.0 if normalised else length_m
+    numbers = tuple(
+        float(number / last**power) for number, power in zip(unit_numbers, (0, 1, 2, 3) * 2, strict=True)
+    )
+    part = geometry("paramPoly3", length_m, numbers, normalised=normalised)
+    s = np.linspace(0.0, length_m, 333)
+    line = reference_line(road("1", [part], []), s)
+    along, places = curve_by_dense_sums(numbers, last)
+    expected = np.column_stack([np.interp(s, along, places[:, axis]) for axis in (0, 1)])
+    assert np.abs(line[:, :2] - expected).max() < 1e-4
+    # What this guards against: the parameter taken for the share of the length.
+    by_share = np.column_stack(
+        [np.polynomial.polynomial.polyval(s * last / length_m, numbers[k : k + 4]) for k in (0, 4)]
+    )
+    assert np.abs(by_share - expected).max() > 1.0
+    direction = np.gradient(expected, axis=0)
+    np.testing.assert_allclose(line[2:-2, 2], np.arctan2(direction[:, 1], direction[:, 0])[2:-2], atol=2e-3)
+
+
+def test_a_parametric_cubic_whose_length_is_rounded_ends_where_its_parameter_does() -> None:
+    numbers = (0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 3.0, 0.0)
+    line = reference_line(
+        road("1", [geometry("paramPoly3", 20.0, numbers, normalised=True)], []), np.array([20.0])
+    )
+    np.testing.assert_allclose(line[0], (20.0, 3.0, math.atan2(6.0, 20.0)), atol=1e-12)
 
 
 def borders(segment: Any, lane_id: int, s: float) -> Floats:
@@ -204,6 +240,10 @@ def test_an_invalid_map_is_one_clear_error(data: bytes, message: str) -> None:
         (
             road("7", [*STRAIGHT, dataclasses.replace(STRAIGHT[0], s_m=100.0, x_m=101.0, y_m=9.0)], BOTH),
             "road 7, planView, expected no",
+        ),
+        (
+            road("7", [geometry("paramPoly3", 100.0, (0.0, 110.0, *[0.0] * 6), normalised=True)], BOTH),
+            "road 7, geometry at s 0, length is '100', expected its curve's, 110.00",
         ),
         (road("7", STRAIGHT, [LaneSection(200.0, [lane(1)])]), "road 7, laneSection at s 200, s, expected less than"),
         (road("7", STRAIGHT, [LaneSection(0.0, [lane(1, -2.0)])]), "road 7, laneSection at s 0, lane 1, width is '-2'"),
