@@ -84,6 +84,7 @@ from camber.simulator.output.can_frames import DBC
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of as lanes_of_lanelets
+from camber.tools.maps.importers.left_out import LeftOutLanes
 from camber.tools.maps.importers.opendrive_roads import LANE_TYPES
 from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roads
 from fuzz.target import Target
@@ -599,9 +600,10 @@ def _lanelets(random: Random) -> list[list[bytes]]:
 
 def _read_lanelets(data: bytes) -> None:
     """As `camber map build` does."""
-    parsed = lanelet_map(data, "fuzz")
-    frame, lanes = lanes_of_lanelets(parsed, parsed.height_m)
-    road_map(lanes, frame, _KNOWN, "fuzz")
+    parsed = lanelet_map(data, "fuzz", strict=False)
+    if parsed.lanelets:
+        frame, lanes = lanes_of_lanelets(parsed, parsed.height_m)
+        road_map(lanes, frame, _KNOWN, "fuzz", left_out=LeftOutLanes(strict=False))
 
 
 def _drives(random: Random) -> list[list[bytes]]:
@@ -615,13 +617,13 @@ def _drives(random: Random) -> list[list[bytes]]:
 
 def _read_drive(data: bytes) -> None:
     """As `camber map build` does, without the projection of PROJ."""
-    drive = opendrive_map(data, "fuzz")
+    drive, left_out = opendrive_map(data, "fuzz", strict=False), LeftOutLanes(strict=False)
     if sum(road.length_m for road in drive.roads) < 2_000.0:  # long roads only take time
         ellipsoidal = vertical_datum("ellipsoidal", "WGS84", "fuzz")
         frame, lanes = lanes_of_roads(
-            drive, _FLAT_EARTH, ellipsoidal, types=frozenset(LANE_TYPES), file="fuzz"
+            drive, _FLAT_EARTH, ellipsoidal, types=frozenset(LANE_TYPES), file="fuzz", left_out=left_out
         )
-        road_map(lanes, frame, _KNOWN, "fuzz")
+        road_map(lanes, frame, _KNOWN, "fuzz", left_out=left_out)
 
 
 def _queue(random: Random) -> list[list[bytes]]:

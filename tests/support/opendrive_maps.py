@@ -205,13 +205,16 @@ def _write_road(root: Element, each: OpenDriveRoad) -> None:
 
 
 def _write_lane(parent: Element, one: OpenDriveLane) -> None:
-    element = SubElement(parent, "lane", id=str(one.lane_id), type=one.kind, level="false")
+    level = "true" if one.level else "false"
+    element = SubElement(parent, "lane", id=str(one.lane_id), type=one.kind, level=level)
     link = SubElement(element, "link")
     for tag, other in (("predecessor", one.predecessor), ("successor", one.successor)):
         if other is not None:
             SubElement(link, tag, id=str(other))
     _write_cubics(element, "width", one.widths, "sOffset")
     _write_cubics(element, "border", one.borders, "sOffset")
+    for row in one.heights.tolist():
+        SubElement(element, "height", _numbers(("sOffset", "inner", "outer"), row))
 
 
 def _write_cubics(parent: Element, tag: str, table: Floats, at: str = "s", **more: str) -> None:

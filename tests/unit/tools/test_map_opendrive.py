@@ -14,6 +14,7 @@ from camber.formats.map_exchange.opendrive import OpenDrive, OpenDriveRoad
 from camber.formats.map_exchange.opendrive_geometry import cubics_at, reference_line
 from camber.road_map.release import Release, read_release
 from camber.tools.maps.importers.lanes import named_id
+from support import opendrive_maps
 from support.built_maps import build_map, known_roads, link_ends, link_levels
 from support.opendrive_maps import cubics, opendrive_bytes, town
 from support.refusals import Refused
@@ -39,12 +40,21 @@ def link(road: str, section: int, lane: int) -> int:
     return named_id("link", f"road {road}, section {section}, lane {lane}")
 
 
-def off_m(release: Release, road: OpenDriveRoad, section: int, lane: int, s: Floats, t: Floats) -> float:
+def off_m(
+    release: Release,
+    road: OpenDriveRoad,
+    section: int,
+    lane: int,
+    s: Floats,
+    t: Floats,
+    *,
+    above_m: float = 0.0,
+) -> float:
     """How far elevations of the release are at most from the formulas, at points (s, t) of a road."""
     line, roll = reference_line(road, s), cubics_at(road.superelevation, s)
     x = line[:, 0] - np.sin(line[:, 2]) * t * np.cos(roll)
     y = line[:, 1] + np.cos(line[:, 2]) * t * np.cos(roll)
-    expected = cubics_at(road.elevation, s) + t * np.sin(roll)
+    expected = cubics_at(road.elevation, s) + t * np.sin(roll) + above_m
     longitude, latitude = pyproj.Proj(proj="utm", zone=32, datum="WGS84")(x, y, inverse=True)
     on_lane = link(road.identity, section, lane)
     result = known_roads(release, np.radians(latitude), np.radians(longitude), on_lane)
@@ -100,6 +110,8 @@ def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -
     [
         (None, ("--vertical-datum", "ellipsoidal"), "header, geoReference is 'none', expected a projection"),
         ("+proj=utm +zone=32 +datum=WGS84", (), "vertical datum is 'not stated'"),
+        ("+lat_0=48.1 +lon_0=11.6", ("--vertical-datum", "ellipsoidal"), "or --georeference with one ('+proj=tmerc"),
+        ("+proj=utm +zone=32 +vunits=us-ft", ("--vertical-datum", "ellipsoidal"), "vunits is 'us-ft', expected m"),
         ("+proj=nonsense", ("--vertical-datum", "ellipsoidal"), "header, geoReference is '+proj=nonsense'"),
         ("EPSG:4326", ("--vertical-datum", "ellipsoidal"), "geoReference is 'EPSG:4326', expected a projection in"),
         ("EPSG:25832", ("--vertical-datum", "ellipsoidal"), "geoReference, datum is 'ETRS89', expected WGS84"),
@@ -131,6 +143,39 @@ def test_a_road_that_nobody_measured_is_refused(
     assert build(tmp_path, flat, "--vertical-datum", "ellipsoidal") == 2
     expected = "road 2, elevationProfile, expected an elevation from the road's begin on"
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "+proj=tmerc +lat_0=0 +lon_0=9 +k=0.9996 +x_0=500000 +y_0=0 +datum=WGS84 +units=m +vunits=m +no_defs",
+        "  +proj=tmerc +lat_0=0.0000000e+0 +lon_0=9.0e+0 +k_0=0.9996 +x_0=5e5 +ellps=WGS84 +towgs84=0,0,0 +type=crs\n",
+        "+proj=tmerc +lat_0=0 +lon_0=9 +k=0.9996 +x_0=500000 +y_0=0 +datum=WGS84 +geoidgrids=@null +vunits=m",
+    ],
+)
+def test_a_transverse_mercator_projection_with_its_origin_is_read(text: str, tmp_path: Path) -> None:
+    assert (
+        build(tmp_path, dataclasses.replace(town(), georeference=text), "--vertical-datum", "ellipsoidal")
+        == 0
+    )
+    latitude = read_release(tmp_path / "map").road_surfaces().latitude_rad
+    assert math.degrees(float(latitude.mean())) == pytest.approx(48.13, abs=0.01)
+
+
+def test_shoulders_are_as_high_above_the_road_as_the_lane_says(tmp_path: Path) -> None:
+    drive = town()
+    street = drive.roads[0]
+    raised = dataclasses.replace(
+        opendrive_maps.lane(-2, 2.0), kind="shoulder", heights=np.array([(0.0, 0.152, 0.152)])
+    )
+    lanes = dataclasses.replace(street.sections[0], lanes=[*street.sections[0].lanes, raised])
+    street = dataclasses.replace(street, sections=[lanes, *street.sections[1:]])
+    drive = dataclasses.replace(drive, roads=[street, *drive.roads[1:]])
+    assert build(tmp_path, drive, "--vertical-datum", "ellipsoidal") == 0
+    s = np.linspace(1.0, 149.0, 200)
+    release = read_release(tmp_path / "map")
+    assert off_m(release, street, 0, -2, s, np.full(200, -4.5), above_m=0.152) < 1e-3
+    assert off_m(release, street, 0, -1, s, np.full(200, -3.0)) < 1e-3
 
 
 def test_the_projection_may_be_named_where_the_file_does_not(tmp_path: Path) -> None:

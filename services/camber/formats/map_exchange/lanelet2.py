@@ -55,16 +55,20 @@ class LaneletMap:
     lanelets: Sequence[Lanelet]
     left_out: Mapping[str, int]
     """Number of lanelets of each subtype that was not selected."""
+    unreadable: Mapping[str, FormatError] = field(default_factory=dict)
+    """Names of selected lanelets that could not be read, and the reasons."""
 
 
-def read_lanelet2(path: Path, subtypes: frozenset[str] = ROADS) -> LaneletMap:
-    """Read the lanelets of some subtypes; FormatError for invalid contents."""
+def read_lanelet2(path: Path, subtypes: frozenset[str] = ROADS, *, strict: bool = True) -> LaneletMap:
+    """Read the lanelets of some subtypes; FormatError for invalid contents. Without `strict` some may be unreadable."""
     if path.stat().st_size > MAX_BYTES:
         raise FormatError(str(path), "size", f"at most {MAX_BYTES >> 30} GiB")
-    return lanelet_map(path.read_bytes(), str(path), subtypes)
+    return lanelet_map(path.read_bytes(), str(path), subtypes, strict=strict)
 
 
-def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> LaneletMap:
+def lanelet_map(
+    data: bytes, file: str, subtypes: frozenset[str] = ROADS, *, strict: bool = True
+) -> LaneletMap:
     """Parse the bytes of a file; as `read_lanelet2`."""
     elements: dict[str, dict[int, _OsmElement]] = {"node": {}, "way": {}, "relation": {}}
     for element in _elements(data, file):
@@ -77,29 +81,42 @@ def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> Lan
     relations = [each for each in relations if _subtype(each) in subtypes]
     if not relations:
         raise FormatError(file, "lanelets", f"at least one of subtype {', '.join(sorted(subtypes))}")
-    row_of: dict[int, int] = {}
-    borders = []
+    place_of: dict[int, tuple[float, float, float]] = {}
+    lanelets = []
+    unreadable: dict[str, FormatError] = {}
     for relation in relations:
-        sides = tuple(_border_of(relation, role, line_strings, file) for role in ("left", "right"))
-        for border in sides:
-            for ref in border.refs:
-                if ref not in nodes:
-                    raise FormatError(file, f"{border.name}, nd", "a node of this file", actual=str(ref))
-                row_of.setdefault(ref, len(row_of))
-        borders.append(sides)
-    places = np.array([_place(nodes[ref], file) for ref in row_of]).reshape(-1, 3)
-    lanelets = [
-        _aligned(relation, left, right, places=places, row_of=row_of, file=file)
-        for relation, (left, right) in zip(relations, borders, strict=True)
-    ]
+        try:
+            sides = tuple(_border_of(relation, role, line_strings, file) for role in ("left", "right"))
+            places = _places(sides, nodes, file)
+            lanelets.append(_aligned(relation, *sides, place_of=places, file=file))
+        except FormatError as error:
+            if strict:
+                raise
+            unreadable[relation.name] = error
+        else:
+            place_of |= places
+    places_array = np.array(list(place_of.values())).reshape(-1, 3)
     return LaneletMap(
-        row_of=row_of,
-        latitude_rad=places[:, 0],
-        longitude_rad=places[:, 1],
-        height_m=places[:, 2],
+        row_of={ref: row for row, ref in enumerate(place_of)},
+        latitude_rad=places_array[:, 0],
+        longitude_rad=places_array[:, 1],
+        height_m=places_array[:, 2],
         lanelets=lanelets,
         left_out=left_out,
+        unreadable=unreadable,
     )
+
+
+def _places(
+    borders: Sequence[_OsmElement], nodes: Mapping[int, _OsmElement], file: str
+) -> dict[int, tuple[float, float, float]]:
+    places = {}
+    for border in borders:
+        for ref in border.refs:
+            if ref not in nodes:
+                raise FormatError(file, f"{border.name}, nd", "a node of this file", actual=str(ref))
+            places[ref] = _place(nodes[ref], file)
+    return places
 
 
 # -- elements --------------------------------------------------------------------------------------------------------
@@ -215,14 +232,13 @@ def _aligned(
     relation: _OsmElement,
     left: _OsmElement,
     right: _OsmElement,
-    places: Floats,
-    row_of: Mapping[int, int],
+    *,
+    place_of: Mapping[int, tuple[float, float, float]],
     file: str,
 ) -> Lanelet:
     """Return the lanelet with both borders turned into its direction."""
-    lines = [
-        _plane([row_of[ref] for ref in border.refs], places, row_of[left.refs[0]]) for border in (left, right)
-    ]
+    origin = place_of[left.refs[0]]
+    lines = [_plane([place_of[ref] for ref in border.refs], origin) for border in (left, right)]
     for line, border in zip(lines, (left, right), strict=True):
         if not np.hypot(*np.diff(line, axis=0).T).sum() > 1e-3:
             raise FormatError(file, border.name, "a border longer than a millimetre")
@@ -238,10 +254,10 @@ def _aligned(
     )
 
 
-def _plane(rows: Sequence[int], places: Floats, origin: int) -> Floats:
+def _plane(places: Sequence[tuple[float, ...]], origin: tuple[float, ...]) -> Floats:
     """Return approximate east and north (n, 2) about a point, sufficient to distinguish sides."""
-    step = places[list(rows), :2] - places[origin, :2]
-    return 6.4e6 * np.column_stack((step[:, 1] * math.cos(places[origin, 0]), step[:, 0]))
+    step = np.array(places)[:, :2] - origin[:2]
+    return 6.4e6 * np.column_stack((step[:, 1] * math.cos(origin[0]), step[:, 0]))
 
 
 def _middle(line: Floats) -> Floats:

@@ -2,7 +2,8 @@
 
 Source: ASAM OpenDRIVE 1.8.0, and 1.4H for `poly3` and `crossfall`, which later editions dropped. Read are: header with
 geoReference and offset; of roads the plan view (line, arc, spiral, poly3, paramPoly3), elevation, superelevation,
-crossfall, lateral shape, lane offset, lane sections with widths or borders, links; of junctions the connections.
+crossfall, lateral shape, lane offset, lane sections with widths or borders and heights, links; of junctions the
+connections.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -57,14 +58,21 @@ class PlanViewGeometry:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OpenDriveLane:
-    """A lane of a section: cubics (n, 5) of width or outer border, over the distance from the section's start."""
+    """A lane of a section: cubics (n, 5) of width or outer border, over the distance from the section's start.
+
+    `heights` (n, 3): from which distance on the lane is how much above the road at its inner and its outer border [m].
+    `level`: superelevation and crossfall do not apply to it. `error`: why it could not be read; then all else is empty.
+    """
 
     lane_id: int
     kind: str
     widths: Floats
     borders: Floats
+    heights: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    level: bool = False
     predecessor: int | None = None
     successor: int | None = None
+    error: FormatError | None = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +127,15 @@ class JunctionConnection:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class UnreadableRoad:
+    """A road that could not be read: the types of its lanes, one for each lane of each section, and the reason."""
+
+    identity: str
+    lane_kinds: Sequence[str]
+    error: FormatError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class OpenDrive:
     """A map. Without a geoReference its position on earth is unknown. The offset (x, y, z) is added to coordinates."""
 
@@ -126,16 +143,17 @@ class OpenDrive:
     offset_m: tuple[float, float, float]
     roads: Sequence[OpenDriveRoad]
     connections: Sequence[JunctionConnection] = ()
+    unreadable: Sequence[UnreadableRoad] = ()
 
 
-def read_opendrive(path: Path) -> OpenDrive:
-    """Read a map; FormatError for invalid contents."""
+def read_opendrive(path: Path, *, strict: bool = True) -> OpenDrive:
+    """Read a map; FormatError for invalid contents. Without `strict` lanes and roads may be unreadable."""
     if path.stat().st_size > MAX_BYTES:
         raise FormatError(str(path), "size", f"at most {MAX_BYTES >> 30} GiB")
-    return opendrive_map(path.read_bytes(), str(path))
+    return opendrive_map(path.read_bytes(), str(path), strict=strict)
 
 
-def opendrive_map(data: bytes, file: str) -> OpenDrive:
+def opendrive_map(data: bytes, file: str, *, strict: bool = True) -> OpenDrive:
     """Parse the bytes of a file; as `read_opendrive`."""
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise FormatError(file, "XML", "a document without a DOCTYPE")
@@ -147,11 +165,23 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
         element.tag = element.tag.rpartition("}")[2]  # namespaces differ between editions, names do not
     if root.tag != "OpenDRIVE":
         raise FormatError(file, "XML", "a document <OpenDRIVE>", actual=f"<{root.tag}>")
-    roads = [
-        _road(_XmlElement(element, file, f"road {element.get('id', '')}")) for element in root.findall("road")
-    ]
+    roads: list[OpenDriveRoad] = []
+    unreadable: list[UnreadableRoad] = []
+    for element in root.findall("road"):
+        node = _XmlElement(element, file, f"road {element.get('id', '')}")
+        try:
+            roads.append(_road(node, strict))
+        except FormatError as error:
+            if strict:
+                raise
+            kinds = [
+                lane.get("type", "")
+                for side in ("left", "right")
+                for lane in element.iterfind(f".//{side}/lane")
+            ]
+            unreadable.append(UnreadableRoad(identity=node.get("id"), lane_kinds=kinds, error=error))
     if not roads:
-        raise FormatError(file, "road", "at least one")
+        raise unreadable[0].error if unreadable else FormatError(file, "road", "at least one")
     if len({road.identity for road in roads}) != len(roads):
         raise FormatError(file, "road id", "each once")
     connections = [
@@ -165,7 +195,13 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
         raise offset.error("hdg", "0", actual=offset.get("hdg"))
     x, y, z = (offset.number(name, default=0.0) for name in ("x", "y", "z"))
     georeference = (root.findtext("header/geoReference") or "").strip() or None
-    return OpenDrive(georeference=georeference, offset_m=(x, y, z), roads=roads, connections=connections)
+    return OpenDrive(
+        georeference=georeference,
+        offset_m=(x, y, z),
+        roads=roads,
+        connections=connections,
+        unreadable=unreadable,
+    )
 
 
 class _XmlElement:
@@ -222,15 +258,15 @@ def _cubics(nodes: Sequence[_XmlElement], at: str = "s") -> Floats:
     return table
 
 
-def _road(node: _XmlElement) -> OpenDriveRoad:
+def _road(node: _XmlElement, strict: bool) -> OpenDriveRoad:
     length_m = node.number("length")
     if not 0.0 < length_m <= MAX_ROAD_M:
         raise node.error("length", f"more than 0, at most {MAX_ROAD_M:.0f}", actual=node.get("length"))
     geometries = [_geometry(part) for part in node.nodes("planView/geometry")]
     if not geometries or any(a.s_m >= b.s_m for a, b in pairwise(geometries)):
         raise node.error("planView", "geometries with s ascending")
-    sections = [_section(part) for part in node.nodes("lanes/laneSection", "laneSection")]
-    if not sections or any(a.s_m >= b.s_m for a, b in pairwise(sections)):
+    sections = [_section(part, strict) for part in node.nodes("lanes/laneSection", "laneSection")]
+    if not sections or any(a.s_m > b.s_m for a, b in pairwise(sections)):
         raise node.error("lanes", "laneSections with s ascending")
     crossfalls = node.nodes("lateralProfile/crossfall", "lateralProfile, crossfall")
     left, right = (
@@ -282,10 +318,10 @@ def _geometry(node: _XmlElement) -> PlanViewGeometry:
     )
 
 
-def _section(node: _XmlElement) -> LaneSection:
+def _section(node: _XmlElement, strict: bool) -> LaneSection:
     s_m = node.number("s")
     node = _XmlElement(node.element, node.file, f"{node.name} at s {s_m:g}")
-    lanes = [_lane(part) for side in ("left", "right") for part in node.nodes(f"{side}/lane", "lane")]
+    lanes = [_lane(part, strict) for side in ("left", "right") for part in node.nodes(f"{side}/lane", "lane")]
     ids = sorted(lane.lane_id for lane in lanes)
     right, left = sum(i < 0 for i in ids), sum(i > 0 for i in ids)
     if ids != [*range(-right, 0), *range(1, left + 1)]:
@@ -293,12 +329,25 @@ def _section(node: _XmlElement) -> LaneSection:
     return LaneSection(s_m, lanes)
 
 
-def _lane(node: _XmlElement) -> OpenDriveLane:
+def _lane(node: _XmlElement, strict: bool) -> OpenDriveLane:
     lane_id = node.integer("id")
     node = _XmlElement(node.element, node.file, f"{node.name} {lane_id}")
-    heights = node.nodes("height", "height") if node.get("type") == "driving" else []
-    if any(part.number(key) != 0.0 for part in heights for key in ("inner", "outer")):
-        raise node.error("height", "none of a driving lane")
+    try:
+        return _readable_lane(node, lane_id)
+    except FormatError as error:
+        if strict:
+            raise
+        nothing = np.zeros((0, 5))
+        return OpenDriveLane(
+            lane_id=lane_id, kind=node.get("type"), widths=nothing, borders=nothing, error=error
+        )
+
+
+def _readable_lane(node: _XmlElement, lane_id: int) -> OpenDriveLane:
+    heights = node.nodes("height", "height")
+    height = np.array([[part.number(key) for key in ("sOffset", "inner", "outer")] for part in heights])
+    if (np.diff(height.reshape(-1, 3)[:, 0]) < 0.0).any():
+        raise heights[0].error("sOffset", "values ascending")
     links = [node.nodes(f"link/{key}", "link") for key in ("predecessor", "successor")]
     predecessor, successor = (link[0].integer("id") if link else None for link in links)
     return OpenDriveLane(
@@ -306,6 +355,8 @@ def _lane(node: _XmlElement) -> OpenDriveLane:
         kind=node.get("type"),
         widths=node.cubics("width", at="sOffset"),
         borders=node.cubics("border", at="sOffset"),
+        heights=height.reshape(-1, 3),
+        level=node.get("level") in ("true", "1"),
         predecessor=predecessor,
         successor=successor,
     )

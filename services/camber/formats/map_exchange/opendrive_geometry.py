@@ -1,8 +1,9 @@
 """Geometry of OpenDRIVE roads: reference line, lane borders, heights.
 
-Source: ASAM OpenDRIVE 1.8.0, chapters 9 (geometries), 10.4–10.5 (elevation, superelevation, lateral shape), 11 (lanes);
-1.4H, 5.3.6.2 (crossfall). Spirals are integrated by Gauss-Legendre quadrature from station to station, with
-eight nodes for at most half a metre: exact to rounding for every curvature of a road.
+Source: ASAM OpenDRIVE 1.8.0, chapters 9 (geometries), 10.4–10.5 (elevation, superelevation, lateral shape), 11 (lanes;
+11.6: a lane's height is an offset in z that is valid until the next one); 1.4H, 5.3.6.2 (crossfall). Spirals are
+integrated by Gauss-Legendre quadrature from station to station, with eight nodes for at most half a metre: exact to
+rounding for every curvature of a road.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ Floats = NDArray[np.float64]
 
 MOST_POINTS = 400_000
 """Cross-sections of one lane section; chosen: 20 km at 0.05 m."""
+SLIVER_M = 1e-4
+"""Lane sections that are shorter have no surface: writers leave them where they split a road; chosen: rounding."""
 _CHORD_M = 2.5e-4  # chosen: half the 0.5 mm within which the grids of `lane_pieces` follow a lane
 _LONGEST_STEP_M, _SHORTEST_STEP_M = 1.0, 0.05
 _GAP_M = 0.5  # chosen: published maps have gaps of centimetres from rounding; a larger one is an error
@@ -57,6 +60,12 @@ def section_span(road: OpenDriveRoad, number: int) -> tuple[float, float]:
     return road.sections[number].s_m, end
 
 
+def is_sliver(road: OpenDriveRoad, number: int) -> bool:
+    """Return whether a lane section is too short to be a part of the road."""
+    begin, end = section_span(road, number)
+    return abs(end - begin) < SLIVER_M
+
+
 def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
     """Return the distances of a section's cross-sections: its breakpoints, and more between them in curves."""
     begin, end = section_span(road, number)
@@ -73,9 +82,12 @@ def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
         for lane in road.sections[number].lanes
         for table in (lane.widths, lane.borders)
     ]
+    # A height steps at its offset: the cross-section before it ends a millimetre earlier.
+    steps = [(begin + lane.heights[:, 0])[:, None] - (1e-3, 0.0) for lane in road.sections[number].lanes]
+    breaks += [step.ravel().tolist() for step in steps]
     at = np.unique(np.concatenate([np.asarray(part, np.float64) for part in breaks]))
     at = at[(at >= begin) & (at <= end)]
-    at = at[np.concatenate(([True], np.diff(at) > 1e-4))]
+    at = at[np.concatenate(([True], np.diff(at) > SLIVER_M))]
     if len(at) < 2:
         raise FormatError(file, f"{name}, s", "a section longer than 0.1 mm")
     step_m = np.array([_step(road, float(a), float(b)) for a, b in pairwise(at)])
@@ -86,36 +98,85 @@ def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
     return np.concatenate([*pieces, at[-1:]])
 
 
-def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dict[int, Floats]:
+def lane_points(
+    road: OpenDriveRoad,
+    number: int,
+    s_m: Floats,
+    file: str,
+    *,
+    errors: dict[int, FormatError] | None = None,
+) -> dict[int, Floats]:
     """Return for each lane of a section the points (n, k, 3), x, y, z [m], at stations (n,), from its right to its left
-    border in the direction of the road."""
+    border in the direction of the road.
+
+    An invalid lane raises FormatError; with `errors` it is entered there and has no points, nor have the lanes outside
+    of it, whose place depends on its width.
+    """
     section = road.sections[number]
+    line = _checked_line(road, s_m, file)
+    offset_m = cubics_at(road.lane_offset, s_m)
+    flat = not (len(road.shape) or len(road.crossfall_left) or len(road.crossfall_right))
+    across = np.linspace(0.0, 1.0, 2 if flat else _ACROSS)
+    points: dict[int, Floats] = {}
+    for side in (1, -1):
+        inner = offset_m
+        lanes = sorted(
+            (each for each in section.lanes if each.lane_id * side > 0), key=lambda each: abs(each.lane_id)
+        )
+        for k, lane in enumerate(lanes):
+            try:
+                width_m = _checked_width_m(
+                    road, section, lane, s_m=s_m, inner_m=side * (inner - offset_m), file=file
+                )
+            except FormatError as error:
+                if errors is None:
+                    raise
+                errors |= {each.lane_id: error for each in lanes[k:]}
+                break
+            outer = inner + side * width_m
+            right, left = (inner, outer) if side > 0 else (outer, inner)
+            at = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * across)
+            at[:, :, 2] += _lane_heights(lane, s_m - section.s_m, across if side > 0 else across[::-1])
+            points[lane.lane_id] = at
+            inner = outer
+    return points
+
+
+def _checked_line(road: OpenDriveRoad, s_m: Floats, file: str) -> Floats:
     line = reference_line(road, s_m)
     gap_m = np.hypot(*np.diff(line[:, :2], axis=0).T) - np.diff(s_m)
     if not np.isfinite(line).all() or (gap_m > _GAP_M).any():
         at = float(s_m[int(np.argmax(np.append(gap_m, 0.0) > _GAP_M))])
         raise FormatError(file, f"road {road.identity}, planView", f"no gap after s {at:.2f}")
     _check_lengths(road, file)
-    offset_m = cubics_at(road.lane_offset, s_m)
-    flat = not (len(road.shape) or len(road.crossfall_left) or len(road.crossfall_right))
-    points: dict[int, Floats] = {}
-    for side in (1, -1):
-        inner = offset_m
-        lanes = [lane for lane in section.lanes if lane.lane_id * side > 0]
-        for lane in sorted(lanes, key=lambda lane: abs(lane.lane_id)):
-            width_m = _width_m(lane, s_m - section.s_m, side * (inner - offset_m))
-            if width_m is None:
-                raise FormatError(file, _lane_name(road, section, lane), "a width or a border")
-            if not ((width_m > -0.05) & (width_m < 500.0)).all():
-                field = f"{_lane_name(road, section, lane)}, width"
-                worst_m = width_m[np.argmax(np.abs(width_m))]
-                raise FormatError(file, field, "0 to 500", actual=f"{worst_m:.3g}")
-            outer = inner + side * np.maximum(width_m, 0.0)
-            right, left = (inner, outer) if side > 0 else (outer, inner)
-            share = np.linspace(0.0, 1.0, 2 if flat else _ACROSS)
-            points[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
-            inner = outer
-    return points
+    return line
+
+
+def _checked_width_m(
+    road: OpenDriveRoad, section: LaneSection, lane: OpenDriveLane, *, s_m: Floats, inner_m: Floats, file: str
+) -> Floats:
+    if lane.error is not None:
+        raise lane.error
+    width_m = _width_m(lane, s_m - section.s_m, inner_m)
+    if width_m is None:
+        raise FormatError(file, _lane_name(road, section, lane), "a width or a border")
+    if not ((width_m > -0.05) & (width_m < 500.0)).all():
+        worst_m = width_m[np.argmax(np.abs(width_m))]
+        raise FormatError(
+            file, f"{_lane_name(road, section, lane)}, width", "0 to 500", actual=f"{worst_m:.3g}"
+        )
+    return np.maximum(width_m, 0.0)
+
+
+def _lane_heights(lane: OpenDriveLane, ds: Floats, share: Floats) -> Floats:
+    """Return how far a lane (n, k) is above the road, at shares (k,) of its width from the inner border."""
+    if not len(lane.heights):
+        return np.zeros((len(ds), len(share)))
+    # 10 µm of slack: a distance from the section's start is rounded.
+    which = np.searchsorted(lane.heights[:, 0], ds + 0.1 * SLIVER_M, "right") - 1
+    inner_m, outer_m = lane.heights[np.maximum(which, 0), 1:].T
+    heights: Floats = inner_m[:, None] * (1.0 - share) + outer_m[:, None] * share
+    return np.where((which >= 0)[:, None], heights, 0.0)
 
 
 def _check_lengths(road: OpenDriveRoad, file: str) -> None:

@@ -14,9 +14,14 @@ from camber.formats.map_exchange.vertical_datum import ELLIPSOIDAL, aligned_to_w
 
 Floats = NDArray[np.float64]
 
+GEOREFERENCE_OPTION = "--georeference with one ('+proj=tmerc +lat_0=… +lon_0=… +datum=WGS84')"
+"""What to do about a map that names no projection."""
+
 _GEOID_GRID = re.compile(r"\+geoidgrids=(\S+)")
 _VERTICAL_PARTS = re.compile(r"\s*\+(geoidgrids|vunits|vto_meter)=\S+")
+_VERTICAL_UNIT = re.compile(r"\+(?:vunits|vto_meter)=(\S+)")
 _VERTICAL_OF_GRID = {
+    "@null": ELLIPSOIDAL,
     "egm96_15.gtx": "EPSG:5773",
     "us_nga_egm96_15.tif": "EPSG:5773",
     "egm08_25.gtx": "EPSG:3855",
@@ -40,8 +45,13 @@ def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
     """
     import pyproj
 
+    unit = _VERTICAL_UNIT.search(text)
+    if unit is not None and unit[1] not in ("m", "1", "1.0"):
+        raise FormatError(file, f"{field}, vunits", "m", actual=unit[1])
     grid = _GEOID_GRID.search(text)
-    crs = crs_of(_VERTICAL_PARTS.sub("", text), file, field, "a projection as PROJ knows it")
+    # Some writers leave only +lat_0 and +lon_0: then the file does not say what the coordinates are.
+    expected = f"a projection as PROJ knows it, or {GEOREFERENCE_OPTION}"
+    crs = crs_of(_VERTICAL_PARTS.sub("", text), file, field, expected)
     vertical = None if grid is None else _VERTICAL_OF_GRID.get(grid[1], f"above {grid[1]}")
     if crs.is_compound:
         above = crs.sub_crs_list[1]

@@ -129,12 +129,15 @@ def _links(links: RoadLinks) -> Report:
 
 
 def _lanelet2(path: Path) -> Report:
-    source = read_lanelet2(path)
+    source = read_lanelet2(path, strict=False)
+    if not source.lanelets:
+        raise next(iter(source.unreadable.values()))
     tags = Counter(lanelet.tags.get("subtype", "road") for lanelet in source.lanelets)
     return {
         "format": "Lanelet2",
         "lanelets": dict(tags),
         "left out": dict(source.left_out),
+        "unreadable lanelets": len(source.unreadable),
         "points": len(source.row_of),
         "place": _place(source.latitude_rad, source.longitude_rad),
         "length": f"{_lanelets_m(source) / 1e3:.3f} km",
@@ -153,13 +156,14 @@ def _lanelets_m(source: LaneletMap) -> float:
 
 
 def _opendrive(path: Path) -> Report:
-    source = read_opendrive(path)
+    source = read_opendrive(path, strict=False)
     lanes = Counter(lane.kind for road in source.roads for part in road.sections for lane in part.lanes)
     shapes = Counter(part.shape for road in source.roads for part in road.geometries)
     with_roll = sum(bool(len(road.superelevation)) for road in source.roads)
     return {
         "format": "OpenDRIVE",
         "roads": len(source.roads),
+        "unreadable roads": len(source.unreadable),
         "junctions": len({connection.junction for connection in source.connections}),
         "lanes": dict(lanes),
         "geometries": dict(shapes),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.opendrive import LaneSection, PlanViewGeometry, opendrive_map
+from camber.formats.map_exchange.opendrive import LaneSection, OpenDriveLane, PlanViewGeometry, opendrive_map
 from camber.formats.map_exchange.opendrive_geometry import lane_points, reference_line, stations
 from support.opendrive_maps import (
     NO_ROWS,
@@ -51,7 +51,13 @@ def test_a_round_trip_of_the_remaining_elements_is_exact() -> None:
     start = {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.3}
     poly = geometry("poly3", 10.0, (0.0, 0.1, 0.01, -0.001), **start)
     arc_length = geometry("paramPoly3", 10.0, tuple(rng.normal(size=8)), s_m=10.0, **start)
-    with_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.5, 0.0, 0.0, 0.0)))
+    with_border = dataclasses.replace(
+        lane(-1),
+        widths=NO_ROWS,
+        borders=cubics((0.0, -3.5, 0.0, 0.0, 0.0)),
+        heights=np.array([(0.0, 0.1, 0.2), (4.0, 0.0, 0.0)]),
+        level=True,
+    )
     made = dataclasses.replace(
         town(),
         offset_m=(10.0, -20.0, 0.5),
@@ -198,6 +204,60 @@ def test_the_lane_offset_moves_all_lanes_and_borders_stand_for_widths() -> None:
     )
     np.testing.assert_allclose(borders(segment, 1, 50.0)[:, 1], (1.0, 4.5))
     np.testing.assert_allclose(borders(segment, -1, 50.0)[:, 1], (-2.0, 1.0))
+
+
+def with_heights(lane_id: int, *rows: tuple[float, float, float]) -> OpenDriveLane:
+    return dataclasses.replace(lane(lane_id), kind="shoulder", heights=np.array(rows))
+
+
+@pytest.mark.parametrize(("lane_id", "right_m", "left_m"), [(-1, 0.2, 0.1), (1, 0.1, 0.2)])
+def test_a_lane_height_is_added_from_the_inner_to_the_outer_border(
+    lane_id: int, right_m: float, left_m: float
+) -> None:
+    lanes = [LaneSection(0.0, [with_heights(lane_id, (0.0, 0.1, 0.2))])]
+    for more in ({}, {"crossfall_left": cubics((0.0, 0.0, 0.0, 0.0, 0.0))}):
+        line = borders(
+            road("1", STRAIGHT, lanes, elevation=cubics((0.0, 7.0, 0.0, 0.0, 0.0)), **more), lane_id, 50.0
+        )
+        np.testing.assert_allclose(
+            line[:, 2], np.linspace(7.0 + right_m, 7.0 + left_m, len(line)), atol=1e-12
+        )
+
+
+def test_a_lane_height_is_valid_from_its_offset_until_the_next_one() -> None:
+    rows = ((10.0, 0.152, 0.152), (40.0, 0.05, 0.05))
+    segment = road("1", STRAIGHT, [LaneSection(20.0, [with_heights(-1, *rows)])])
+    at = stations(segment, 0, "a.xodr")
+    z = lane_points(segment, 0, at, "a.xodr")[-1][:, 0, 2]
+    np.testing.assert_allclose(z, np.where(at < 30.0 - 1e-9, 0.0, np.where(at < 60.0 - 1e-9, 0.152, 0.05)))
+    assert (np.diff(at)[np.abs(np.diff(z)) > 0.01] < 0.0011).all(), "the steps are short"
+
+
+def test_an_unreadable_lane_costs_itself_and_those_outside_of_it() -> None:
+    made = dataclasses.replace(
+        town(), roads=[road("7", STRAIGHT, [LaneSection(0.0, [lane(k) for k in (1, -1, -2, -3)])])]
+    )
+    data = opendrive_bytes(dataclasses.replace(made, connections=[]))
+    at = data.index(b'lane id="-2"')
+    data = data[:at] + data[at:].replace(b'a="3.5"', b'a="?"', 1)
+    with pytest.raises(FormatError, match="road 7, laneSection at s 0, lane -2, width, a is"):
+        opendrive_map(data, "a.xodr")
+    segment = opendrive_map(data, "a.xodr", strict=False).roads[0]
+    errors: dict[int, FormatError] = {}
+    points = lane_points(segment, 0, stations(segment, 0, "a.xodr"), "a.xodr", errors=errors)
+    assert sorted(points) == [-1, 1]
+    assert sorted(errors) == [-3, -2]
+    assert {str(error) for error in errors.values()} == {
+        "a.xodr: road 7, laneSection at s 0, lane -2, width, a is '?', expected a number of at most 1e9"
+    }
+
+
+def test_an_unreadable_road_costs_itself_and_says_how_many_lanes_it_had() -> None:
+    data = opendrive_bytes(town()).replace(b"<paramPoly3", b"<bezier").replace(b"</paramPoly3", b"</bezier")
+    drive = opendrive_map(data, "a.xodr", strict=False)
+    assert [each.identity for each in drive.roads] == ["1", "2", "4"]
+    assert [(each.identity, list(each.lane_kinds)) for each in drive.unreadable] == [("3", ["driving"] * 2)]
+    assert "expected one of line" in str(drive.unreadable[0].error)
 
 
 SMALL = opendrive_bytes(dataclasses.replace(town(), roads=[road("7", STRAIGHT, BOTH)], connections=[]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, named_id
+from camber.tools.maps.importers.left_out import LeftOutLanes, lane_area_m2
 
 _STEP_M = 0.01
 """Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""
@@ -30,14 +32,22 @@ class LaneSurvey:
 
 
 def road_map(
-    lanes: Sequence[Lane], frame: LocalFrame, known: LaneSurvey, file: str
+    lanes: Sequence[Lane],
+    frame: LocalFrame,
+    known: LaneSurvey,
+    file: str,
+    *,
+    left_out: LeftOutLanes | None = None,
 ) -> tuple[RoadSurfaces, RoadLinks, list[str]]:
-    """Surfaces and links of lanes given in the plane of a frame, and remarks on lanes that no surface can follow.
+    """Surfaces and links of lanes given in the plane of a frame, and remarks on lanes that no surface can follow and on
+    invalid ones, which are left out; without `left_out` the first one is raised.
 
     A surface's id comes from its lane's name and plan and the number of its piece, so a map that is read again, or
     with other heights, has the same ids, and a lane with another course has new ones.
     """
-    pieces = [pieces_of(lane, file) for lane in lanes]
+    left_out = left_out or LeftOutLanes()
+    lanes, pieces = _cut(lanes, file, left_out)
+    losses = left_out.remarks(lanes, file)
     cuts, levels = cuts_and_levels(lanes, pieces, file)
     links: list[_LaneLink] = []
     link_of, level_of, id_of = [], [], []
@@ -56,7 +66,22 @@ def road_map(
     ]
     columns = {"surface_id": id_of, "link_id": link_of, "level": level_of}
     surfaces = _surfaces(flat, frame, known, {name: np.array(ids, np.int64) for name, ids in columns.items()})
-    return surfaces, _road_links(links, frame, known), remarks
+    return surfaces, _road_links(links, frame, known), losses + remarks
+
+
+def _cut(
+    lanes: Sequence[Lane], file: str, left_out: LeftOutLanes
+) -> tuple[list[Lane], list[list[LanePiece]]]:
+    """The lanes that can be cut into pieces, and these."""
+    kept: list[Lane] = []
+    pieces: list[list[LanePiece]] = []
+    for lane in lanes:
+        area_m2 = lane_area_m2(lane.sections)
+        of_lane = left_out.attempt(partial(pieces_of, lane, file), name=lane.name, area_m2=area_m2)
+        if of_lane is not None:
+            kept.append(lane)
+            pieces.append(of_lane)
+    return kept, pieces
 
 
 def lineage(surfaces: RoadSurfaces, previous: Release | None) -> list[tuple[int, int]]:

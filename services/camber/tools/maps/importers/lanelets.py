@@ -17,6 +17,7 @@ from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, mean_longitude, named_id
+from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
 from camber.tools.options.parsers import add_with_default
 
 
@@ -24,20 +25,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a Lanelet2 map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.osm")
     add_height_arguments(parser, of_lanes=True)
+    add_loss_arguments(parser)
     add_with_default(parser, "--subtypes", ",".join(sorted(ROADS)), "of lanelets that are taken")
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces and links of the lanelets."""
     file = str(args.file)
-    source = read_lanelet2(args.file, frozenset(args.subtypes.split(",")))
+    left_out = LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
+    source = read_lanelet2(args.file, frozenset(args.subtypes.split(",")), strict=args.strict)
+    for name, error in source.unreadable.items():
+        left_out.add(name, error)
+    if not source.lanelets:
+        left_out.remarks([], file)
     vertical = vertical_of(args, file)
     height_m = vertical.ellipsoidal_m(source.latitude_rad, source.longitude_rad, source.height_m, file)
     frame, lanes = lanes_of(source, height_m)
-    surfaces, links, steps = road_map(lanes, frame, lane_survey(args, vertical), file)
-    remarks = [f"{file}: {len(lanes)} lanelets; heights: {vertical.how}"]
+    surfaces, links, steps = road_map(lanes, frame, lane_survey(args, vertical), file, left_out=left_out)
+    remarks = [f"{file}: {len(links)} links of lanelets; heights: {vertical.how}"]
     remarks += [
-        f"{file}: {count} lanelets of subtype {name} left out" for name, count in source.left_out.items()
+        f"{file}: {count} lanelets of subtype {name} not taken" for name, count in source.left_out.items()
     ]
     return BuiltMap(surfaces=surfaces, links=links, surrogate=vertical.surrogate, remarks=[*remarks, *steps])
 

@@ -20,14 +20,15 @@ from camber.formats.map_exchange.opendrive import (
     RoadEnd,
     read_opendrive,
 )
-from camber.formats.map_exchange.opendrive_geometry import lane_points, stations
-from camber.formats.map_exchange.projection import Projection, projection_of
+from camber.formats.map_exchange.opendrive_geometry import is_sliver, lane_points, section_span, stations
+from camber.formats.map_exchange.projection import GEOREFERENCE_OPTION, Projection, projection_of
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
+from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
 from camber.tools.options.parsers import add_with_default
 
 LANE_TYPES = (
@@ -35,6 +36,9 @@ LANE_TYPES = (
     "taxi", "HOV", "slipLane",
 )  # fmt: skip
 _NARROWEST_M = 0.3  # chosen: no vehicle drives on a narrower lane
+_USUAL_WIDTH_M = 3.5  # chosen: by which a lane that cannot be drawn counts as lost area
+
+_GEOREFERENCE = "header, geoReference"
 
 End = tuple[str, int, int, str]
 """Road, number of its lane section, lane, and which end of it in the direction of the road: start or end."""
@@ -44,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only an OpenDRIVE map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.xodr")
     add_height_arguments(parser, of_lanes=True)
+    add_loss_arguments(parser)
     add_with_default(parser, "--lane-types", ",".join(LANE_TYPES), "types of lanes that are taken")
     text = "the projection, where the file does not say it"
     parser.add_argument("--georeference", metavar="PROJ", help=text)
@@ -52,17 +57,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces and links of the lanes."""
     file = str(args.file)
-    drive = read_opendrive(args.file)
+    drive = read_opendrive(args.file, strict=args.strict)
+    left_out = LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
     text = args.georeference or drive.georeference
     if text is None:
-        expected = "a projection, or --georeference with one"
-        raise FormatError(file, "header, geoReference", expected, actual="none")
-    projection = projection_of(text, args.datum, file, "header, geoReference")
+        raise FormatError(file, _GEOREFERENCE, f"a projection, or {GEOREFERENCE_OPTION}", actual="none")
+    projection = projection_of(text, args.datum, file, _GEOREFERENCE)
     vertical = vertical_of(args, file, projection.vertical)
     types = frozenset(args.lane_types.split(","))
-    frame, lanes = lanes_of(drive, projection, vertical, types=types, file=file)
+    frame, lanes = lanes_of(drive, projection, vertical, types=types, file=file, left_out=left_out)
     known = lane_survey(args, vertical)
-    surfaces, links, steps = road_map(lanes, frame, known, file)
+    surfaces, links, steps = road_map(lanes, frame, known, file, left_out=left_out)
     return BuiltMap(
         surfaces=surfaces,
         links=links,
@@ -72,16 +77,32 @@ def build(args: argparse.Namespace) -> BuiltMap:
 
 
 def lanes_of(
-    drive: OpenDrive, projection: Projection, vertical: VerticalDatum, *, types: frozenset[str], file: str
+    drive: OpenDrive,
+    projection: Projection,
+    vertical: VerticalDatum,
+    *,
+    types: frozenset[str],
+    file: str,
+    left_out: LeftOutLanes | None = None,
 ) -> tuple[LocalFrame, list[Lane]]:
-    """The lanes of some types in the plane of a frame in their middle, with ellipsoidal heights."""
+    """The lanes of some types in the plane of a frame in their middle, with ellipsoidal heights.
+
+    Invalid ones are entered in `left_out`; without it the first one is raised.
+    """
+    left_out = left_out or LeftOutLanes()
+    for unreadable in drive.unreadable:
+        for kind in unreadable.lane_kinds:
+            if kind in types:
+                left_out.add(f"road {unreadable.identity}, a lane of type {kind}", unreadable.error)
     pieces = [
         (road, number, lane, points)
         for road in drive.roads
         for number in range(len(road.sections))
-        for lane, points in _lanes_of(road, number, types, file)
+        if not is_sliver(road, number)
+        for lane, points in _lanes_of(road, number, types, file=file, left_out=left_out)
     ]
     if not pieces:
+        left_out.remarks([], file)
         raise FormatError(file, "lanes", f"at least one of type {', '.join(sorted(types))}")
     flat = np.concatenate([points.reshape(-1, 3) for *_, points in pieces]) + np.array(drive.offset_m)
     latitude, longitude = projection.geodetic(flat[:, 0], flat[:, 1])
@@ -100,20 +121,48 @@ def lanes_of(
 
 
 def _lanes_of(
-    road: OpenDriveRoad, number: int, types: frozenset[str], file: str
+    road: OpenDriveRoad, number: int, types: frozenset[str], *, file: str, left_out: LeftOutLanes
 ) -> Iterator[tuple[OpenDriveLane, Floats]]:
     wanted = [lane for lane in road.sections[number].lanes if lane.kind in types]
     if not wanted:
         return
+    begin, end = section_span(road, number)
+    area_m2 = _USUAL_WIDTH_M * max(end - begin, 0.0)
+    errors: dict[int, FormatError] = {}
+    try:
+        _check_elevation(road, number, file)
+        points = lane_points(road, number, stations(road, number, file), file, errors=errors)
+    except FormatError as error:
+        errors = dict.fromkeys((lane.lane_id for lane in wanted), error)
+    for lane in wanted:
+        if lane.lane_id in errors:
+            left_out.add(_name(road, number, lane), errors[lane.lane_id], area_m2)
+        elif lane.level and _is_banked(road):
+            field = f"{_name(road, number, lane)}, level"
+            expected = "false on a road with superelevation, crossfall or lateral shape"
+            left_out.add(
+                _name(road, number, lane), FormatError(file, field, expected, actual="true"), area_m2
+            )
+        else:
+            sections = points[lane.lane_id]
+            if np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T).max() >= _NARROWEST_M:
+                yield lane, sections
+
+
+def _check_elevation(road: OpenDriveRoad, number: int, file: str) -> None:
     if not len(road.elevation) or road.elevation[0, 0] > road.sections[number].s_m:
         # By the book that is a road at height 0; of a map that is to judge heights it says that nobody measured it.
         field = f"road {road.identity}, elevationProfile"
         raise FormatError(file, field, "an elevation from the road's begin on")
-    points = lane_points(road, number, stations(road, number, file), file)
-    for lane in wanted:
-        sections = points[lane.lane_id]
-        if np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T).max() >= _NARROWEST_M:
-            yield lane, sections
+
+
+def _is_banked(road: OpenDriveRoad) -> bool:
+    profiles = (road.superelevation, road.crossfall_left, road.crossfall_right, road.shape)
+    return any(bool((table[:, -4:] != 0.0).any()) for table in profiles)
+
+
+def _name(road: OpenDriveRoad, number: int, lane: OpenDriveLane) -> str:
+    return f"road {road.identity}, section {number}, lane {lane.lane_id}"
 
 
 def _lane(
@@ -125,7 +174,7 @@ def _lane(
     node_of: dict[End, str],
     place: str,
 ) -> Lane:
-    name = f"road {road.identity}, section {number}, lane {lane.lane_id}"
+    name = _name(road, number, lane)
     ends = [node_of.get(end, " ".join(map(str, end))) for end in _ends(road, number, lane.lane_id)]
     side = f"{road.identity} {number}"
     outer, inner = lane.lane_id, lane.lane_id - (1 if lane.lane_id > 0 else -1)
@@ -165,6 +214,8 @@ def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
         for number, section in enumerate(road.sections):
             for lane in section.lanes:
                 start, end = _ends(road, number, lane.lane_id)
+                if is_sliver(road, number):
+                    yield start, end  # no link of it: what comes before it meets what comes after it
                 if lane.predecessor is not None and number > 0:
                     yield start, _ends(road, number - 1, lane.predecessor)[1]
                 elif lane.predecessor is not None:
