@@ -101,6 +101,13 @@ class RoadLinks:
         return len(self.link_id)
 
 
+def select_links(links: RoadLinks, rows: Sequence[int]) -> RoadLinks:
+    """Return some rows of links."""
+    names = [field.name for field in fields(RoadLinks) if field.name != "vertices"]
+    columns = {name: getattr(links, name)[list(rows)] for name in names}
+    return RoadLinks(**columns, vertices=[links.vertices[row] for row in rows])
+
+
 def rows_of_ids(sorted_id: Integers, wanted: Integers) -> Integers:
     """Return the rows (k,) of ids in a sorted column (n,); −1 for unknown ids."""
     if not len(sorted_id):

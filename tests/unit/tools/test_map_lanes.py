@@ -86,7 +86,7 @@ def test_a_lane_that_opens_from_nothing_is_followed() -> None:
 def test_where_heights_make_a_step_the_surface_is_as_unsure_as_that_and_the_lane_is_named() -> None:
     line = along((0.0, 0.0), (60.0, 0.0))
     stepped = np.insert(line, 21, line[20] + (0.01, 0.0), axis=0)
-    height_m = np.where(np.arange(42) > 20, 0.4, 0.0)
+    height_m = np.where(np.arange(42) > 20, 0.4, 0.0) + 0.02 * stepped[:, 0]
     curve = lane("kerb", stepped, height_m)
     surfaces, _, remarks = road_map([curve], FRAME, SURVEY, "map")
     assert remarks == ["map: kerb: heights make a step, σ of a surface is up to 0.20 m"]

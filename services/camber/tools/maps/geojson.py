@@ -6,7 +6,8 @@ other datum to name.
     surface   Polygon, its corners with their heights; properties hold all columns of RoadSurfaces
     link      LineString; properties hold all columns of RoadLinks
 
-What is written is read again as it was. Lines of another origin need no properties: ids come from their places.
+What is written is read again as it was. Lines of another origin need no properties: ids come from their places, and
+levels, where `level` is not given, from the tags `bridge`, `tunnel` and `layer` of OpenStreetMap.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import argparse
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lanes import named_links
+from camber.tools.maps.importers.osm_tags import level_of, tags_of
 
 _DECIMALS = 10  # of degrees: a hundredth of a millimetre
 _SURFACE = (
@@ -58,8 +60,17 @@ def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:
     return '{"type":"FeatureCollection","features":[\n' + body + "\n]}\n"
 
 
-def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[float | None]]:
-    """Surfaces, links, and how wide each link's road is [m] where its `width_m` says so.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineProperties:
+    """What a line says of its road: width [m], tags of OpenStreetMap, and whether `level` is given."""
+
+    width_m: float | None
+    tags: Mapping[str, str]
+    has_level: bool
+
+
+def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[LineProperties]]:
+    """Surfaces, links, and what else each link's line says.
 
     Raises FormatError for what is not as above, OSError if the file cannot be read.
     """
@@ -72,8 +83,12 @@ def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[float | None
         lines = [f for f in features if f["geometry"]["type"] == "LineString"]
         if len(surfaces) + len(lines) != len(features):
             raise FormatError(name, "geometry", "Polygon for a surface, LineString for a link")
-        widths = [_number((line.get("properties") or {}).get("width_m")) for line in lines]
-        return _surfaces(surfaces), _links(lines), widths
+        rows = [line.get("properties") or {} for line in lines]
+        properties = [
+            LineProperties(width_m=_number(row.get("width_m")), tags=tags_of(row), has_level=_has_level(row))
+            for row in rows
+        ]
+        return _surfaces(surfaces), _links(lines, properties), properties
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
         if isinstance(error, FormatError):
             raise
@@ -126,7 +141,12 @@ def _surfaces(features: list[Mapping[str, Any]]) -> RoadSurfaces:
     return surfaces_from_tiles(surface_tiles(surfaces))
 
 
-def _links(features: list[Mapping[str, Any]]) -> RoadLinks:
+def _has_level(row: Mapping[str, Any]) -> bool:
+    # In OpenStreetMap `level` is a floor of a building.
+    return "level" in row and "highway" not in row
+
+
+def _links(features: list[Mapping[str, Any]], properties: list[LineProperties]) -> RoadLinks:
     rows, vertices = [feature.get("properties") or {} for feature in features], []
     for feature in features:
         line = np.array([point[:2] for point in feature["geometry"]["coordinates"]], np.float64)
@@ -135,11 +155,17 @@ def _links(features: list[Mapping[str, Any]]) -> RoadLinks:
         vertices.append(np.radians(line[:, ::-1]))
     if not rows:
         return RoadLinks(**{field.name: [] for field in fields(RoadLinks)})  # type: ignore[arg-type]
-    links = named_links("link", vertices)
+    level = [0 if each.has_level else level_of(each.tags) for each in properties]
+    links = named_links("link", vertices, level=np.array(level, np.int64))
     columns: dict[str, Any] = {}
     for name in _LINK:
         otherwise = getattr(links, name).tolist()
-        columns[name] = np.array([row.get(name, value) for row, value in zip(rows, otherwise, strict=True)])
+        columns[name] = np.array(
+            [
+                value if name == "level" and not each.has_level else row.get(name, value)
+                for row, each, value in zip(rows, properties, otherwise, strict=True)
+            ]
+        )
     return RoadLinks(**columns, vertices=vertices)
 
 

@@ -20,12 +20,12 @@ from camber.road_map.release_files import BlobMissingError
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
+from camber.tools.maps.importers.lanes import line_length_m
 from camber.tools.maps.release_at import add_public_key, is_release, release_at
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map inspect"
-_EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate lengths
 _QUANTILES = (0.5, 0.9, 1.0)
 
 Report = dict[str, Any]
@@ -124,7 +124,7 @@ def _links(links: RoadLinks) -> Report:
         "count": len(links),
         "by level": _counts(links.level),
         "nodes": len(np.unique(np.concatenate((links.start_node, links.end_node)))),
-        "length": f"{sum(_length_m(line) for line in links.vertices) / 1e3:.3f} km",
+        "length": f"{sum(line_length_m(line) for line in links.vertices) / 1e3:.3f} km",
     }
 
 
@@ -149,7 +149,7 @@ def _lanelet2(path: Path) -> Report:
 def _lanelets_m(source: LaneletMap) -> float:
     places = np.column_stack((source.latitude_rad, source.longitude_rad))
     return sum(
-        0.5 * _length_m(places[[source.row_of[ref] for ref in border]])
+        0.5 * line_length_m(places[[source.row_of[ref] for ref in border]])
         for lanelet in source.lanelets
         for border in (lanelet.left, lanelet.right)
     )
@@ -203,11 +203,6 @@ def _counts(values: NDArray[np.int64]) -> dict[str, int]:
 def _quantiles(values: NDArray[Any], text: str = "{:.3f} m") -> str:
     shown = [text.format(value) for value in np.quantile(values, _QUANTILES).tolist()]
     return f"median {shown[0]}, 90 % {shown[1]}, most {shown[2]}"
-
-
-def _length_m(places_rad: NDArray[np.float64]) -> float:
-    step = np.diff(places_rad, axis=0)
-    return float(_EARTH_M * np.hypot(step[:, 0], step[:, 1] * np.cos(places_rad[:-1, 0])).sum())
 
 
 def _place(latitude_rad: NDArray[np.float64], longitude_rad: NDArray[np.float64]) -> str:

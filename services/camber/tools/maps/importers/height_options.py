@@ -14,6 +14,7 @@ from camber.formats.map_exchange.vertical_datum import (
     vertical_datum,
 )
 from camber.tools.maps.importers.lane_map import LaneSurvey
+from camber.tools.maps.importers.level_heights import level_sigma_of
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 from camber.tools.options.parsers import add_with_default
 
@@ -40,7 +41,12 @@ def add_height_arguments(parser: argparse.ArgumentParser, *, of_lanes: bool = Fa
 def lane_survey(args: argparse.Namespace, vertical: VerticalDatum) -> LaneSurvey:
     """How well the lanes of a map are known."""
     sigma_m = sigma_of(args, vertical)
-    return LaneSurvey(sigma_m=sigma_m, link_sigma_m=args.link_sigma_m, seen_ns=args.surveyed_ns)
+    return LaneSurvey(
+        sigma_m=sigma_m,
+        link_sigma_m=args.link_sigma_m,
+        seen_ns=args.surveyed_ns,
+        level_sigma_m=level_sigma_of(args),
+    )
 
 
 def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) -> VerticalDatum:

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from camber.formats.errors import FormatError
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
@@ -17,6 +18,7 @@ from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, named_id
 from camber.tools.maps.importers.left_out import LeftOutLanes, lane_area_m2
+from camber.tools.maps.importers.level_heights import EXPECTED, is_level_lane
 
 _STEP_M = 0.01
 """Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""
@@ -24,11 +26,15 @@ _STEP_M = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LaneSurvey:
-    """How well the lanes are known: σ of heights, σ of links across, and when they were seen (GPS time)."""
+    """How well the lanes are known: σ of heights, σ of links across, and when they were seen (GPS time).
+
+    `level_sigma_m`: σ of lanes that are level, which nobody measured; None: they are invalid.
+    """
 
     sigma_m: float
     link_sigma_m: float
     seen_ns: int
+    level_sigma_m: float | None = None
 
 
 def road_map(
@@ -46,8 +52,8 @@ def road_map(
     with other heights, has the same ids, and a lane with another course has new ones.
     """
     left_out = left_out or LeftOutLanes()
-    lanes, pieces = _cut(lanes, file, left_out)
-    losses = left_out.remarks(lanes, file)
+    lanes, pieces = _cut(lanes, file, known=known, left_out=left_out)
+    losses = left_out.remarks(len(lanes), sum(lane_area_m2(lane.sections) for lane in lanes), file)
     cuts, levels = cuts_and_levels(lanes, pieces, file)
     links: list[_LaneLink] = []
     link_of, level_of, id_of = [], [], []
@@ -59,25 +65,38 @@ def road_map(
         id_of += [named_id("surface", lane.name, lane.plan, k) for k in range(len(of_lane))]
         links += parts
     flat = [piece for of_lane in pieces for piece in of_lane]
+    extra_m = [known.level_sigma_m or 0.0 if is_level_lane(of_lane) else 0.0 for of_lane in pieces]
+    sigma_m = np.hypot(known.sigma_m, np.repeat(extra_m, [len(of_lane) for of_lane in pieces]))
     remarks = [
         f"{file}: {lane.name}: heights make a step, σ of a surface is up to {worst_m:.2f} m"
         for lane, of_lane in zip(lanes, pieces, strict=True)
         if (worst_m := max(piece.off_m for piece in of_lane)) > _STEP_M
     ]
     columns = {"surface_id": id_of, "link_id": link_of, "level": level_of}
-    surfaces = _surfaces(flat, frame, known, {name: np.array(ids, np.int64) for name, ids in columns.items()})
+    numbers = {name: np.array(ids, np.int64) for name, ids in columns.items()}
+    surfaces = _surfaces(flat, frame, numbers, sigma_m=sigma_m, seen_ns=known.seen_ns)
+    if any(extra_m):
+        count = sum(extra > 0.0 for extra in extra_m)
+        remarks.append(f"{file}: {count} lanes are level: σ of their heights is {known.level_sigma_m:g} m")
     return surfaces, _road_links(links, frame, known), losses + remarks
 
 
 def _cut(
-    lanes: Sequence[Lane], file: str, left_out: LeftOutLanes
+    lanes: Sequence[Lane], file: str, *, known: LaneSurvey, left_out: LeftOutLanes
 ) -> tuple[list[Lane], list[list[LanePiece]]]:
     """The lanes that can be cut into pieces, and these."""
+
+    def cut(lane: Lane) -> list[LanePiece]:
+        pieces = pieces_of(lane, file)
+        if known.level_sigma_m is None and is_level_lane(pieces):
+            raise FormatError(file, f"{lane.name}, heights", EXPECTED, actual="level")
+        return pieces
+
     kept: list[Lane] = []
     pieces: list[list[LanePiece]] = []
     for lane in lanes:
         area_m2 = lane_area_m2(lane.sections)
-        of_lane = left_out.attempt(partial(pieces_of, lane, file), name=lane.name, area_m2=area_m2)
+        of_lane = left_out.attempt(partial(cut, lane), name=lane.name, area_m2=area_m2)
         if of_lane is not None:
             kept.append(lane)
             pieces.append(of_lane)
@@ -164,9 +183,14 @@ def _nearest(along_m: Floats, pieces: Sequence[LanePiece], cut: int) -> float:
 
 
 def _surfaces(
-    pieces: Sequence[LanePiece], frame: LocalFrame, known: LaneSurvey, numbers: Mapping[str, Integers]
+    pieces: Sequence[LanePiece],
+    frame: LocalFrame,
+    numbers: Mapping[str, Integers],
+    *,
+    sigma_m: Floats,
+    seen_ns: int,
 ) -> RoadSurfaces:
-    """`numbers`: ids, links and levels of the surfaces by column."""
+    """`numbers`: ids, links and levels of the surfaces by column; `sigma_m` (n,): of the heights."""
     n = len(pieces)
     centre_m = np.array([piece.centre_m for piece in pieces]).reshape(n, 2)
     latitude, longitude, _ = frame.geodetic_from_east_north_array(centre_m, np.zeros(n))
@@ -181,9 +205,9 @@ def _surfaces(
         half_length_m=np.array([piece.half_length_m for piece in pieces]),
         half_width_m=np.array([piece.half_width_m for piece in pieces]),
         # Where the grid cannot follow the lane, as over a step, the surface is as unsure as that.
-        sigma_m=np.array([math.hypot(known.sigma_m, piece.off_m) for piece in pieces]),
+        sigma_m=np.hypot(sigma_m, [piece.off_m for piece in pieces]),
         vehicles=np.zeros(n, np.int64),
-        last_seen_ns=np.full(n, known.seen_ns),
+        last_seen_ns=np.full(n, seen_ns),
         heights_m=[piece.heights_m for piece in pieces],
     )
 

@@ -18,6 +18,7 @@ from camber.tools.maps.importers.height_options import add_height_arguments, lan
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, mean_longitude, named_id
 from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.options.parsers import add_with_default
 
 
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE.osm")
     add_height_arguments(parser, of_lanes=True)
     add_loss_arguments(parser)
+    add_flat_arguments(parser)
     add_with_default(parser, "--subtypes", ",".join(sorted(ROADS)), "of lanelets that are taken")
 
 
@@ -37,7 +39,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     for name, error in source.unreadable.items():
         left_out.add(name, error)
     if not source.lanelets:
-        left_out.remarks([], file)
+        left_out.remarks(0, 0.0, file)
     vertical = vertical_of(args, file)
     height_m = vertical.ellipsoidal_m(source.latitude_rad, source.longitude_rad, source.height_m, file)
     frame, lanes = lanes_of(source, height_m)
@@ -46,7 +48,12 @@ def build(args: argparse.Namespace) -> BuiltMap:
     remarks += [
         f"{file}: {count} lanelets of subtype {name} not taken" for name, count in source.left_out.items()
     ]
-    return BuiltMap(surfaces=surfaces, links=links, surrogate=vertical.surrogate, remarks=[*remarks, *steps])
+    return BuiltMap(
+        surfaces=surfaces,
+        links=links,
+        surrogate=flat_surrogate(args, vertical.surrogate),
+        remarks=[*remarks, *steps],
+    )
 
 
 def lanes_of(lanelets: LaneletMap, height_m: Floats) -> tuple[LocalFrame, list[Lane]]:

@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 K = TypeVar("K", bound=Any)
 
+_EARTH_M = 6.371e6  # mean radius of the earth (IUGG)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lane:
@@ -75,6 +77,12 @@ def named_links(
 def distance_along(line_m: Floats) -> Floats:
     """How far along a line (n, 2 or 3) each of its points is in the plane (n,) [m]."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m[:, :2], axis=0).T)))
+
+
+def line_length_m(line_rad: Floats) -> float:
+    """Approximate length of a line (n, 2) [rad] on a sphere."""
+    step = np.diff(line_rad, axis=0)
+    return float(_EARTH_M * np.hypot(step[:, 0], step[:, 1] * np.cos(line_rad[:-1, 0])).sum())
 
 
 class JoinedSets(Generic[K]):

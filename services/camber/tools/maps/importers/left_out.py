@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.tools.maps.importers.lanes import Floats, Lane
+from camber.tools.maps.importers.lanes import Floats
 from camber.tools.options.number_options import number_from
 from camber.tools.options.parsers import add_with_default
 
@@ -23,12 +23,11 @@ T = TypeVar("T")
 
 def add_loss_arguments(parser: argparse.ArgumentParser) -> None:
     """How a map with invalid lanes is dealt with."""
-    add = parser.add_argument_group("invalid lanes, which are left out and listed")
-    add.add_argument("--strict", action="store_true", help="refuse the map for the first one")
-    text = "of lanes, or of their area, above which the map is refused"
-    add_with_default(
-        parser, "--max-loss-percent", _MOST_PERCENT, text, type=number_from(0.0, 100.0, "%"), metavar="P"
-    )
+    text = "refuse the map for the first invalid lane, which else is left out and listed"
+    parser.add_argument("--strict", action="store_true", help=text)
+    text = "of lanes, or of their area, that are invalid: above it the map is refused"
+    bounds = number_from(0.0, 100.0, "%")
+    add_with_default(parser, "--max-loss-percent", _MOST_PERCENT, text, type=bounds, metavar="P")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,17 +61,16 @@ class LeftOutLanes:
             raise error
         self.lanes.append(InvalidLane(name=name, reason=str(error), area_m2=area_m2))
 
-    def remarks(self, kept: Sequence[Lane], file: str) -> list[str]:
-        """Return a summary and a line for each lane. FormatError if too much of the map is lost.
+    def remarks(self, kept: int, kept_m2: float, file: str) -> list[str]:
+        """Return a summary and a line for each lane, `kept` being the number and `kept_m2` the area of the others.
 
-        A lane whose area is not known counts as the mean of those kept.
+        FormatError if too much of the map is lost. A lane whose area is not known counts as the mean of those kept.
         """
         if not self.lanes:
             return []
-        kept_m2 = sum(lane_area_m2(lane.sections) for lane in kept)
-        mean_m2 = kept_m2 / max(len(kept), 1)
+        mean_m2 = kept_m2 / max(kept, 1)
         lost_m2 = sum(mean_m2 if lane.area_m2 is None else lane.area_m2 for lane in self.lanes)
-        count = len(kept) + len(self.lanes)
+        count = kept + len(self.lanes)
         of_lanes = 100.0 * len(self.lanes) / count
         of_area = 100.0 * lost_m2 / max(kept_m2 + lost_m2, 1e-9)
         summary = f"{len(self.lanes)} of {count} lanes, {of_area:.1f} % of the area"

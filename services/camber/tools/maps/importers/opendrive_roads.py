@@ -29,6 +29,7 @@ from camber.tools.maps.importers.height_options import add_height_arguments, lan
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
 from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.options.parsers import add_with_default
 
 LANE_TYPES = (
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE.xodr")
     add_height_arguments(parser, of_lanes=True)
     add_loss_arguments(parser)
+    add_flat_arguments(parser)
     add_with_default(parser, "--lane-types", ",".join(LANE_TYPES), "types of lanes that are taken")
     text = "the projection, where the file does not say it"
     parser.add_argument("--georeference", metavar="PROJ", help=text)
@@ -65,13 +67,15 @@ def build(args: argparse.Namespace) -> BuiltMap:
     projection = projection_of(text, args.datum, file, _GEOREFERENCE)
     vertical = vertical_of(args, file, projection.vertical)
     types = frozenset(args.lane_types.split(","))
-    frame, lanes = lanes_of(drive, projection, vertical, types=types, file=file, left_out=left_out)
+    frame, lanes = lanes_of(
+        drive, projection, vertical, types=types, file=file, flat=args.flat, left_out=left_out
+    )
     known = lane_survey(args, vertical)
     surfaces, links, steps = road_map(lanes, frame, known, file, left_out=left_out)
     return BuiltMap(
         surfaces=surfaces,
         links=links,
-        surrogate=vertical.surrogate,
+        surrogate=flat_surrogate(args, vertical.surrogate),
         remarks=[f"{file}: {len(lanes)} lanes of {len(drive.roads)} roads; heights: {vertical.how}", *steps],
     )
 
@@ -83,11 +87,13 @@ def lanes_of(
     *,
     types: frozenset[str],
     file: str,
+    flat: bool = False,
     left_out: LeftOutLanes | None = None,
 ) -> tuple[LocalFrame, list[Lane]]:
     """The lanes of some types in the plane of a frame in their middle, with ellipsoidal heights.
 
-    Invalid ones are entered in `left_out`; without it the first one is raised.
+    Invalid ones are entered in `left_out`; without it the first one is raised. `flat`: roads without an elevation
+    are at height 0.
     """
     left_out = left_out or LeftOutLanes()
     for unreadable in drive.unreadable:
@@ -99,14 +105,14 @@ def lanes_of(
         for road in drive.roads
         for number in range(len(road.sections))
         if not is_sliver(road, number)
-        for lane, points in _lanes_of(road, number, types, file=file, left_out=left_out)
+        for lane, points in _lanes_of(road, number, types, file=file, flat=flat, left_out=left_out)
     ]
     if not pieces:
-        left_out.remarks([], file)
+        left_out.remarks(0, 0.0, file)
         raise FormatError(file, "lanes", f"at least one of type {', '.join(sorted(types))}")
-    flat = np.concatenate([points.reshape(-1, 3) for *_, points in pieces]) + np.array(drive.offset_m)
-    latitude, longitude = projection.geodetic(flat[:, 0], flat[:, 1])
-    height_m = vertical.ellipsoidal_m(latitude, longitude, flat[:, 2], file)
+    plane_m = np.concatenate([points.reshape(-1, 3) for *_, points in pieces]) + np.array(drive.offset_m)
+    latitude, longitude = projection.geodetic(plane_m[:, 0], plane_m[:, 1])
+    height_m = vertical.ellipsoidal_m(latitude, longitude, plane_m[:, 2], file)
     frame = LocalFrame(float(np.mean(latitude)), mean_longitude(longitude), 0.0)
     plane = np.column_stack((frame.east_north_from_geodetic_array(latitude, longitude, 0.0), height_m))
     sizes = np.cumsum([points.shape[0] * points.shape[1] for *_, points in pieces])
@@ -121,7 +127,7 @@ def lanes_of(
 
 
 def _lanes_of(
-    road: OpenDriveRoad, number: int, types: frozenset[str], *, file: str, left_out: LeftOutLanes
+    road: OpenDriveRoad, number: int, types: frozenset[str], *, file: str, flat: bool, left_out: LeftOutLanes
 ) -> Iterator[tuple[OpenDriveLane, Floats]]:
     wanted = [lane for lane in road.sections[number].lanes if lane.kind in types]
     if not wanted:
@@ -130,7 +136,8 @@ def _lanes_of(
     area_m2 = _USUAL_WIDTH_M * max(end - begin, 0.0)
     errors: dict[int, FormatError] = {}
     try:
-        _check_elevation(road, number, file)
+        if not flat:
+            _check_elevation(road, number, file)
         points = lane_points(road, number, stations(road, number, file), file, errors=errors)
     except FormatError as error:
         errors = dict.fromkeys((lane.lane_id for lane in wanted), error)
@@ -153,7 +160,7 @@ def _check_elevation(road: OpenDriveRoad, number: int, file: str) -> None:
     if not len(road.elevation) or road.elevation[0, 0] > road.sections[number].s_m:
         # By the book that is a road at height 0; of a map that is to judge heights it says that nobody measured it.
         field = f"road {road.identity}, elevationProfile"
-        raise FormatError(file, field, "an elevation from the road's begin on")
+        raise FormatError(file, field, "an elevation from the road's begin on, or --flat")
 
 
 def _is_banked(road: OpenDriveRoad) -> bool:

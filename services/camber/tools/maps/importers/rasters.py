@@ -18,11 +18,18 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.vertical_datum import ELLIPSOIDAL, FIELD, aligned_to_wgs84, crs_of
-from camber.road_map.road_columns import RoadLinks
+from camber.road_map.road_columns import select_links
 from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
+from camber.tools.maps.importers.left_out import add_loss_arguments
+from camber.tools.maps.importers.level_heights import (
+    add_flat_arguments,
+    check_raster_slopes,
+    flat_surrogate,
+    level_sigma_of,
+)
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import whole_from
 from camber.tools.options.parsers import add_with_default
@@ -40,15 +47,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_with_default(parser, "--level", 0, text, type=levels)
     add_road_arguments(parser)
     add_height_arguments(parser)
+    add_loss_arguments(parser)
+    add_flat_arguments(parser)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces along the roads of one level; all links are kept."""
     file = str(args.file)
-    roads = given_roads(args)
+    roads, remarks = given_roads(args)
     with HeightRaster.open(args.file, args.band, args.datum) as raster:
         vertical = vertical_of(args, file, raster.vertical)
-        sigma_m = sigma_of(args, vertical)
+        sigma_m = math.hypot(sigma_of(args, vertical), level_sigma_of(args) or 0.0)
 
         def ground(latitude: Floats, longitude: Floats, _: Integers) -> tuple[Floats, Floats]:
             height_m = raster.heights_m(latitude, longitude)
@@ -61,21 +70,21 @@ def build(args: argparse.Namespace) -> BuiltMap:
         surfaces = surfaces_along(shown, ground, spacing_m=spacing_m, seen_ns=args.surveyed_ns)
     if not len(surfaces):
         raise FormatError(file, "heights", f"some along the roads of level {args.level} in {args.roads}")
+    if not args.flat:
+        check_raster_slopes(surfaces, file)
     bare = len(shown.links) - len(np.unique(surfaces.link_id))
-    remarks = [f"{file}: heights: {vertical.how}; every {spacing_m:g} m"]
+    remarks.append(f"{file}: heights: {vertical.how}; every {spacing_m:g} m")
     if len(shown.links) < len(roads.links):
         remarks.append(f"{len(roads.links) - len(shown.links)} links of other levels get no surfaces")
     if bare:
         remarks.append(f"{bare} links lie where the raster has no data: no surfaces")
-    return BuiltMap(surfaces=surfaces, links=roads.links, surrogate=vertical.surrogate, remarks=remarks)
+    surrogate = flat_surrogate(args, vertical.surrogate)
+    return BuiltMap(surfaces=surfaces, links=roads.links, surrogate=surrogate, remarks=remarks)
 
 
 def _of_level(roads: RoadCentreLines, level: int) -> RoadCentreLines:
-    links, rows = roads.links, np.flatnonzero(roads.links.level == level)
-    names = ("link_id", "start_node", "end_node", "level", "sigma_m")
-    columns = {name: getattr(links, name)[rows] for name in names}
-    selected = RoadLinks(**columns, vertices=[links.vertices[row] for row in rows.tolist()])
-    return RoadCentreLines(selected, roads.half_width_m[rows])
+    rows = np.flatnonzero(roads.links.level == level)
+    return RoadCentreLines(select_links(roads.links, rows.tolist()), roads.half_width_m[rows])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

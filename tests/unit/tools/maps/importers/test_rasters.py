@@ -47,14 +47,14 @@ def geotiff(path: Path, heights: Any, crs: Any, *, scale: float = 1.0) -> Path:
     return path
 
 
-def line(path: Path, *, level: int = 0) -> Path:
+def line(path: Path, **properties: Any) -> Path:
     """A road 200 m to the east through the middle of the raster."""
     x = np.linspace(CORNER_M[0] + 25.0, CORNER_M[0] + 225.0, 9)
     longitude, latitude = UTM(x, np.full(9, CORNER_M[1] - 125.0), inverse=True)
     feature = {
         "type": "Feature",
         "geometry": {"type": "LineString", "coordinates": np.column_stack((longitude, latitude)).tolist()},
-        "properties": {"level": level, "width_m": WIDTH_M},
+        "properties": {"width_m": WIDTH_M, **properties},
     }
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
     return path
@@ -152,3 +152,23 @@ def test_a_damaged_raster_is_one_clear_line(tmp_path: Path, refused: Refused) ->
         broken.write_bytes(whole[:length])
         refused(lambda _: build(broken, roads))
     assert build(tmp_path / "none.tif", roads) == 2
+
+
+def test_a_raster_of_one_height_is_refused_unless_it_is_taken_as_flat(
+    tmp_path: Path, refused: Refused
+) -> None:
+    raster, roads = (
+        geotiff(tmp_path / "dem.tif", np.zeros((SIZE, SIZE)), KNOWN),
+        line(tmp_path / "road.geojson"),
+    )
+    assert "heights is 'level on 100 % of the roads', expected a road's" in refused(
+        lambda _: build(raster, roads)
+    )
+    assert build(raster, roads, "--flat") == 0
+    assert read_release(tmp_path / "map").road_surfaces().sigma_m == pytest.approx(10.0, abs=0.01)
+
+
+def test_a_bridge_gets_no_height_of_the_ground(tmp_path: Path, refused: Refused) -> None:
+    raster = geotiff(tmp_path / "dem.tif", cells(), KNOWN)
+    roads = line(tmp_path / "road.geojson", highway="primary", bridge="yes")
+    assert "level 0" in refused(lambda _: build(raster, roads))
