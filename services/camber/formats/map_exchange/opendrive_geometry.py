@@ -82,9 +82,10 @@ def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
         for lane in road.sections[number].lanes
         for table in (lane.widths, lane.borders)
     ]
-    # A height steps at its offset: the cross-section before it ends a millimetre earlier.
-    steps = [(begin + lane.heights[:, 0])[:, None] - (1e-3, 0.0) for lane in road.sections[number].lanes]
-    breaks += [step.ravel().tolist() for step in steps]
+    steps = [(begin + lane.heights[:, 0]).tolist() for lane in road.sections[number].lanes]
+    steps += [_steps(table) for table in profiles if table.shape[1] == 5]
+    # Before a step there is a cross-section too, a millimetre earlier: else the metre before it would be a ramp.
+    breaks += [[s - 1e-3 * k for s in step for k in (0, 1)] for step in steps]
     at = np.unique(np.concatenate([np.asarray(part, np.float64) for part in breaks]))
     at = at[(at >= begin) & (at <= end)]
     at = at[np.concatenate(([True], np.diff(at) > SLIVER_M))]
@@ -96,6 +97,16 @@ def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
         raise FormatError(file, f"{name}", f"at most {MOST_POINTS} cross-sections")
     pieces = [a + (b - a) * np.arange(n) / n for (a, b), n in zip(pairwise(at), parts.tolist(), strict=True)]
     return np.concatenate([*pieces, at[-1:]])
+
+
+def _steps(table: Floats) -> list[float]:
+    """Return where a profile of cubics (k, 5) jumps by more than a tenth of a millimetre (or a tenth of a mrad)."""
+    jumps = []
+    for before, after in pairwise(table):
+        ds = after[0] - before[0]
+        if abs(before[1] + ds * (before[2] + ds * (before[3] + ds * before[4])) - after[1]) > 1e-4:
+            jumps.append(float(after[0]))
+    return jumps
 
 
 def lane_points(

@@ -6,14 +6,25 @@ Each lanelet on which vehicles drive becomes a link and rectangles along it whos
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from camber.formats.map_exchange.lanelet2 import ROADS, Lanelet, LaneletMap, read_lanelet2
+from camber.formats.map_exchange.lanelet_places import BorderPlace, border_places
+from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.tile_checks import MAX_ID
 from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.height_check import (
+    PLACES,
+    SourceHeights,
+    add_check_arguments,
+    checked_heights,
+    links_by_lane,
+    seed_of,
+)
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, mean_longitude, named_id
@@ -28,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_height_arguments(parser, of_lanes=True)
     add_loss_arguments(parser)
     add_flat_arguments(parser)
+    add_check_arguments(parser)
     add_with_default(parser, "--subtypes", ",".join(sorted(ROADS)), "of lanelets that are taken")
 
 
@@ -48,11 +60,34 @@ def build(args: argparse.Namespace) -> BuiltMap:
     remarks += [
         f"{file}: {count} lanelets of subtype {name} not taken" for name, count in source.left_out.items()
     ]
+    seed = seed_of(args)
+    subtypes = frozenset(args.subtypes.split(","))
+    places = border_places(args.file.read_bytes(), subtypes, PLACES, np.random.default_rng(seed))
+    check = checked_heights(surfaces, source_heights(places, lanes, vertical, file), seed=seed, file=file)
     return BuiltMap(
         surfaces=surfaces,
         links=links,
         surrogate=flat_surrogate(args, vertical.surrogate),
-        remarks=[*remarks, *steps],
+        remarks=[*remarks, *steps, check],
+    )
+
+
+def source_heights(
+    places: Sequence[BorderPlace], lanes: Sequence[Lane], vertical: VerticalDatum, file: str
+) -> SourceHeights:
+    """Places of the file on borders of lanelets that are taken, with ellipsoidal heights."""
+    links = links_by_lane(lanes)
+    places = [place for place in places if place.name in links]
+    at = np.array([(place.latitude_deg, place.longitude_deg, place.height_m) for place in places]).reshape(
+        -1, 3
+    )
+    latitude, longitude = np.radians(at[:, :2]).T
+    return SourceHeights(
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=vertical.ellipsoidal_m(latitude, longitude, at[:, 2], file),
+        links=[links[place.name] for place in places],
+        names=[f"{place.name}, {place.at}" for place in places],
     )
 
 

@@ -6,7 +6,7 @@ Each lane of each lane section becomes a link, in the direction of its traffic, 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +21,19 @@ from camber.formats.map_exchange.opendrive import (
     read_opendrive,
 )
 from camber.formats.map_exchange.opendrive_geometry import is_sliver, lane_points, section_span, stations
+from camber.formats.map_exchange.opendrive_places import LanePlace, lane_places
 from camber.formats.map_exchange.projection import GEOREFERENCE_OPTION, Projection, projection_of
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.height_check import (
+    PLACES,
+    SourceHeights,
+    add_check_arguments,
+    checked_heights,
+    links_by_lane,
+    seed_of,
+)
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
@@ -51,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_height_arguments(parser, of_lanes=True)
     add_loss_arguments(parser)
     add_flat_arguments(parser)
+    add_check_arguments(parser)
     add_with_default(parser, "--lane-types", ",".join(LANE_TYPES), "types of lanes that are taken")
     text = "the projection, where the file does not say it"
     parser.add_argument("--georeference", metavar="PROJ", help=text)
@@ -72,11 +82,40 @@ def build(args: argparse.Namespace) -> BuiltMap:
     )
     known = lane_survey(args, vertical)
     surfaces, links, steps = road_map(lanes, frame, known, file, left_out=left_out)
+    seed = seed_of(args)
+    places = lane_places(args.file.read_bytes(), types, PLACES, np.random.default_rng(seed))
+    source = source_heights(places, lanes, text, vertical, file)
+    check = checked_heights(surfaces, source, seed=seed, file=file)
     return BuiltMap(
         surfaces=surfaces,
         links=links,
         surrogate=flat_surrogate(args, vertical.surrogate),
-        remarks=[f"{file}: {len(lanes)} lanes of {len(drive.roads)} roads; heights: {vertical.how}", *steps],
+        remarks=[
+            f"{file}: {len(lanes)} lanes of {len(drive.roads)} roads; heights: {vertical.how}",
+            *steps,
+            check,
+        ],
+    )
+
+
+def source_heights(
+    places: Sequence[LanePlace], lanes: Sequence[Lane], georeference: str, vertical: VerticalDatum, file: str
+) -> SourceHeights:
+    """Places of the file on lanes that are taken, with latitudes and longitudes by PROJ and ellipsoidal heights."""
+    import pyproj
+
+    links = links_by_lane(lanes)
+    places = [place for place in places if place.name in links]
+    crs = pyproj.CRS(georeference)
+    to_geodetic = pyproj.Proj(crs.sub_crs_list[0] if crs.is_compound else crs)
+    at = np.array([(place.x_m, place.y_m, place.z_m) for place in places]).reshape(-1, 3)
+    longitude, latitude = (np.radians(angle) for angle in to_geodetic(at[:, 0], at[:, 1], inverse=True))
+    return SourceHeights(
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=vertical.ellipsoidal_m(latitude, longitude, at[:, 2], file),
+        links=[links[place.name] for place in places],
+        names=[f"{place.name}, {place.at}" for place in places],
     )
 
 

@@ -17,11 +17,24 @@ from typing import Any
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.vertical_datum import ELLIPSOIDAL, FIELD, aligned_to_wgs84, crs_of
-from camber.road_map.road_columns import select_links
+from camber.formats.map_exchange.vertical_datum import (
+    ELLIPSOIDAL,
+    FIELD,
+    VerticalDatum,
+    aligned_to_wgs84,
+    crs_of,
+)
+from camber.road_map.road_columns import RoadSurfaces, select_links
 from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
+from camber.tools.maps.importers.height_check import (
+    PLACES,
+    SourceHeights,
+    add_check_arguments,
+    checked_heights,
+    seed_of,
+)
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.importers.left_out import add_loss_arguments
 from camber.tools.maps.importers.level_heights import (
@@ -49,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_height_arguments(parser)
     add_loss_arguments(parser)
     add_flat_arguments(parser)
+    add_check_arguments(parser)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -78,8 +92,45 @@ def build(args: argparse.Namespace) -> BuiltMap:
         remarks.append(f"{len(roads.links) - len(shown.links)} links of other levels get no surfaces")
     if bare:
         remarks.append(f"{bare} links lie where the raster has no data: no surfaces")
+    seed = seed_of(args)
+    source = cell_heights(args, surfaces, vertical, np.random.default_rng(seed))
+    # Of a rough raster σ has the departure of the grids from it, which is random: 0.3 % of a normal one are beyond.
+    remarks.append(checked_heights(surfaces, source, seed=seed, file=file, most_beyond=0.01))
     surrogate = flat_surrogate(args, vertical.surrogate)
     return BuiltMap(surfaces=surfaces, links=roads.links, surrogate=surrogate, remarks=remarks)
+
+
+def cell_heights(
+    args: argparse.Namespace, surfaces: RoadSurfaces, vertical: VerticalDatum, rng: np.random.Generator
+) -> SourceHeights:
+    """Heights of single cells at the middles of surfaces, for the middles of the cells, as the file has them."""
+    import pyproj
+    import rasterio
+    from rasterio.windows import Window
+
+    rows = rng.integers(len(surfaces), size=PLACES)
+    cells: list[tuple[float, float, float, int]] = []
+    with quiet_rasterio(), rasterio.open(args.file) as dataset:
+        crs: Any = pyproj.CRS(dataset.crs.to_wkt())
+        plane = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+        to_raster = pyproj.Transformer.from_crs(plane.geodetic_crs.to_2d(), plane, always_xy=True)
+        scale, offset = dataset.scales[args.band - 1], dataset.offsets[args.band - 1]
+        places = to_raster.transform(*np.degrees((surfaces.longitude_rad[rows], surfaces.latitude_rad[rows])))
+        for x, y, link in zip(*places, surfaces.link_id[rows].tolist(), strict=True):
+            row, column = dataset.index(x, y)
+            cell = dataset.read(args.band, window=Window(column, row, 1, 1), masked=True)
+            if cell.count() == 1 and np.isfinite(cell[0, 0]):
+                cells.append((*dataset.xy(row, column), float(cell[0, 0]) * scale + offset, link))
+        at = np.array(cells).reshape(-1, 4)[:, :3]
+        longitude, latitude = np.radians(to_raster.transform(at[:, 0], at[:, 1], direction="INVERSE"))
+    degrees = np.degrees(np.column_stack((latitude, longitude))).tolist()
+    return SourceHeights(
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=vertical.ellipsoidal_m(latitude, longitude, at[:, 2], str(args.file)),
+        links=[[cell[3]] for cell in cells],
+        names=[f"latitude {a:.7f}°, longitude {b:.7f}°" for a, b in degrees],
+    )
 
 
 def _of_level(roads: RoadCentreLines, level: int) -> RoadCentreLines:

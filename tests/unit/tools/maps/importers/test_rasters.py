@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from camber.road_map.release import read_release
+from camber.tools.maps.importers import rasters
 from camber.tools.maps.importers.rasters import quiet_rasterio
 from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
@@ -166,6 +168,21 @@ def test_a_raster_of_one_height_is_refused_unless_it_is_taken_as_flat(
     )
     assert build(raster, roads, "--flat") == 0
     assert read_release(tmp_path / "map").road_surfaces().sigma_m == pytest.approx(10.0, abs=0.01)
+
+
+def test_heights_are_compared_with_the_cells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, refused: Refused
+) -> None:
+    raster, roads = geotiff(tmp_path / "dem.tif", cells(), KNOWN), line(tmp_path / "road.geojson")
+    assert build(raster, roads, "--check-seed", "3") == 0
+    figures = re.search(r"at (\d+) places \(seed 3\): .* most (\S+) mm", capsys.readouterr().out)
+    assert figures is not None
+    assert float(figures[1]) == 2000
+    assert float(figures[2]) < 1.0
+    true_heights = rasters.HeightRaster.heights_m
+    monkeypatch.setattr(rasters.HeightRaster, "heights_m", lambda self, *at: true_heights(self, *at) + 0.07)
+    (tmp_path / "map").rename(tmp_path / "first")
+    assert "expected the source's within 3 σ" in refused(lambda _: build(raster, roads))
 
 
 def test_a_bridge_gets_no_height_of_the_ground(tmp_path: Path, refused: Refused) -> None:
