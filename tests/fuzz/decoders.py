@@ -82,9 +82,9 @@ from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
 from camber.simulator.output.can_frames import DBC
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of as lanes_of_lanelets
-from camber.tools.maps.importers.left_out import LeftOutLanes
 from camber.tools.maps.importers.opendrive_roads import LANE_TYPES
 from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roads
 from fuzz.target import Target

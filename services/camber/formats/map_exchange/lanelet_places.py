@@ -33,7 +33,7 @@ def border_places(
     """Return `count` places; empty where no border of a lanelet has latitudes, longitudes and heights."""
     root = ElementTree.fromstring(data)
     nodes = {node.get("id"): row for node in root.iterfind("node") if (row := _row(node)) is not None}
-    ways = {way.get("id"): [nd.get("ref") for nd in way.iterfind("nd")] for way in root.iterfind("way")}
+    lines = {line.get("id"): [nd.get("ref") for nd in line.iterfind("nd")] for line in root.iterfind("way")}
     steps = []
     for relation in root.iterfind("relation"):
         tags = _tags(relation)
@@ -41,7 +41,7 @@ def border_places(
             continue
         for member in relation.iterfind("member"):
             if member.get("role") in ("left", "right"):
-                refs = ways.get(member.get("ref"), [])
+                refs = lines.get(member.get("ref"), [])
                 steps += [(relation.get("id"), a, b) for a, b in pairwise(refs)]
     steps = [step for step in steps if step[1] in nodes and step[2] in nodes]
     if not steps:

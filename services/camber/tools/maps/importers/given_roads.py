@@ -13,11 +13,11 @@ from camber.formats.map_exchange.lanelet2 import ROADS, read_lanelet2
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import RoadLinks, select_links
 from camber.tools.maps.geojson import LineProperties, read_geojson
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes
+from camber.tools.maps.importers.checks.level_heights import level_sigma_of
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of
 from camber.tools.maps.importers.lanes import line_length_m
-from camber.tools.maps.importers.left_out import LeftOutLanes
-from camber.tools.maps.importers.level_heights import level_sigma_of
 from camber.tools.maps.importers.osm_tags import HIGHWAYS, crossing_lines, is_road
 from camber.tools.maps.importers.surfaces_along import RoadCentreLines
 from camber.tools.options.number_options import number_from

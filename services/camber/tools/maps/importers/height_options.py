@@ -13,8 +13,8 @@ from camber.formats.map_exchange.vertical_datum import (
     constant_undulation,
     vertical_datum,
 )
+from camber.tools.maps.importers.checks.level_heights import level_sigma_of
 from camber.tools.maps.importers.lane_map import LaneSurvey
-from camber.tools.maps.importers.level_heights import level_sigma_of
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 from camber.tools.options.parsers import add_with_default
 

@@ -14,11 +14,11 @@ from camber.formats.errors import FormatError
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes, lane_area_m2
+from camber.tools.maps.importers.checks.level_heights import EXPECTED, is_level_lane
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, named_id
-from camber.tools.maps.importers.left_out import LeftOutLanes, lane_area_m2
-from camber.tools.maps.importers.level_heights import EXPECTED, is_level_lane
 
 _STEP_M = 0.01
 """Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""

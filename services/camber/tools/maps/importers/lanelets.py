@@ -17,7 +17,7 @@ from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.tile_checks import MAX_ID
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.height_check import (
+from camber.tools.maps.importers.checks.height_check import (
     PLACES,
     SourceHeights,
     add_check_arguments,
@@ -25,11 +25,11 @@ from camber.tools.maps.importers.height_check import (
     links_by_lane,
     seed_of,
 )
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.checks.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, distance_along, mean_longitude, named_id
-from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
-from camber.tools.maps.importers.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.options.parsers import add_with_default
 
 

@@ -26,7 +26,7 @@ from camber.formats.map_exchange.projection import GEOREFERENCE_OPTION, Projecti
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.height_check import (
+from camber.tools.maps.importers.checks.height_check import (
     PLACES,
     SourceHeights,
     add_check_arguments,
@@ -34,11 +34,11 @@ from camber.tools.maps.importers.height_check import (
     links_by_lane,
     seed_of,
 )
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.checks.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
 from camber.tools.maps.importers.lanes import Floats, JoinedSets, Lane, mean_longitude, named_id
-from camber.tools.maps.importers.left_out import LeftOutLanes, add_loss_arguments
-from camber.tools.maps.importers.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.options.parsers import add_with_default
 
 LANE_TYPES = (
@@ -84,7 +84,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     surfaces, links, steps = road_map(lanes, frame, known, file, left_out=left_out)
     seed = seed_of(args)
     places = lane_places(args.file.read_bytes(), types, PLACES, np.random.default_rng(seed))
-    source = source_heights(places, lanes, text, vertical, file)
+    source = source_heights(places, lanes, georeference=text, vertical=vertical, file=file)
     check = checked_heights(surfaces, source, seed=seed, file=file)
     return BuiltMap(
         surfaces=surfaces,
@@ -99,7 +99,12 @@ def build(args: argparse.Namespace) -> BuiltMap:
 
 
 def source_heights(
-    places: Sequence[LanePlace], lanes: Sequence[Lane], georeference: str, vertical: VerticalDatum, file: str
+    places: Sequence[LanePlace],
+    lanes: Sequence[Lane],
+    *,
+    georeference: str,
+    vertical: VerticalDatum,
+    file: str,
 ) -> SourceHeights:
     """Places of the file on lanes that are taken, with latitudes and longitudes by PROJ and ellipsoidal heights."""
     import pyproj

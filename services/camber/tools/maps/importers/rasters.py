@@ -27,22 +27,22 @@ from camber.formats.map_exchange.vertical_datum import (
 from camber.road_map.road_columns import RoadSurfaces, select_links
 from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
-from camber.tools.maps.importers.height_check import (
+from camber.tools.maps.importers.checks.height_check import (
     PLACES,
     SourceHeights,
     add_check_arguments,
     checked_heights,
     seed_of,
 )
-from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.left_out import add_loss_arguments
-from camber.tools.maps.importers.level_heights import (
+from camber.tools.maps.importers.checks.left_out import add_loss_arguments
+from camber.tools.maps.importers.checks.level_heights import (
     add_flat_arguments,
     check_raster_slopes,
     flat_surrogate,
     level_sigma_of,
 )
+from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
+from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import whole_from
 from camber.tools.options.parsers import add_with_default

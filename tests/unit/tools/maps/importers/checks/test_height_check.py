@@ -17,7 +17,7 @@ from camber.formats.map_exchange.opendrive import LaneSection
 from camber.formats.map_exchange.opendrive_places import lane_places
 from camber.road_map.road_columns import RoadSurfaces
 from camber.tools.maps.importers import lanelets
-from camber.tools.maps.importers.height_check import SourceHeights, checked_heights
+from camber.tools.maps.importers.checks.height_check import SourceHeights, checked_heights
 from support.built_maps import build_map
 from support.lanelet_maps import lanelet2_bytes
 from support.lanelet_maps import town as lanelet_town
