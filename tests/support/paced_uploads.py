@@ -105,7 +105,7 @@ def _progress(folder: Path) -> dict[str, int]:
 
 def main(endpoint: str, folder: Path, rate_hz: float) -> None:
     bus = bus_of(endpoint, "integrity", VEHICLE)
-    outbox = Outbox(folder / "outbox.sqlite", limit_bytes=64 << 20)
+    outbox = Outbox(folder / "outbox.sqlite", vehicle="car", limit_bytes=64 << 20)
     sending = SenderThread(outbox, bus.ask_bytes)
     before = _progress(folder)
     put, time_ns = before["put"], before["time_ns"]

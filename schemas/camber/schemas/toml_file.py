@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from camber.schemas.base import Model
+from camber.schemas.bounded_toml import NestingError, parse_toml, read_toml
 
 M = TypeVar("M", bound=Model)
 
@@ -42,10 +43,10 @@ def load_toml(
     `context` is for the model's validators; `what` the file was expected to be, in words.
     """
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        table = read_toml(path)
     except OSError as problem:
         raise error(f"{path}: {problem.strerror or problem}, expected {what}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+    except ValueError as problem:
         raise error(f"{path}: not TOML: {problem}") from None
     changes = (
         dict(overrides)
@@ -67,7 +68,9 @@ def _parse_override(text: str, error: type[FileError]) -> tuple[str, Any]:
     if not equals or not field:
         raise error(f"--set {text!r}: expected field=value, such as surrogates.map_sigma_m=0.10")
     try:
-        parsed = tomllib.loads(f"value = {value.strip()}")
+        parsed = parse_toml(f"value = {value.strip()}")
+    except NestingError as problem:
+        raise error(f"--set {field}: {problem}") from None
     except tomllib.TOMLDecodeError:
         return field, value.strip()
     # A value with a newline in it could bring further keys along.

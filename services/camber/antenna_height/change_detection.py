@@ -26,7 +26,8 @@ _NEWEST = 5  # chosen: blocks, at least, that are compared with those before
 _LASTING = 1.5  # chosen: times the correlation, and two blocks at least, that a change must have lasted
 _EACH = 0.5  # chosen: share of the change that must be in each block of that
 _BEFORE = 4  # chosen: blocks before a comparison is possible
-_REMEMBERED = 450  # chosen: blocks, half an hour; older ones fade
+REMEMBERED_BLOCKS = 450
+"""Chosen: half an hour; older ones fade."""
 _LONGEST_STEP_NS = 500_000_000  # chosen: a longer gap between two differences counts as no driving
 SCATTER_M = 0.002
 """Chosen: least scatter of a block's mean; no road is smoother."""
@@ -80,7 +81,7 @@ class Reference(NamedTuple):
     def add(self, block_m: float) -> Reference:
         """Return these blocks and one more."""
         blocks, squares_m2 = self.blocks, self.squares_m2
-        if blocks >= _REMEMBERED:
+        if blocks >= REMEMBERED_BLOCKS:
             blocks, squares_m2 = blocks - 1.0, squares_m2 * (1.0 - 1.0 / blocks)
         off_m = block_m - self.mean_m
         mean_m = self.mean_m + off_m / (blocks + 1.0)
@@ -93,7 +94,7 @@ class Reference(NamedTuple):
             return self
         off_m, share = other.mean_m - self.mean_m, other.blocks / blocks
         squares_m2 = self.squares_m2 + other.squares_m2 + off_m**2 * self.blocks * share
-        kept = min(1.0, _REMEMBERED / blocks)
+        kept = min(1.0, REMEMBERED_BLOCKS / blocks)
         return Reference(kept * blocks, self.mean_m + share * off_m, kept * squares_m2)
 
     def sigma_m(self, newest: int, prior: DifferencePrior) -> float:

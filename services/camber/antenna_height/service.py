@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from camber.antenna_height.available_heights import VehicleGeometry
 from camber.antenna_height.estimator import AntennaHeightEstimator
 from camber.antenna_height.method_comparison import References
 from camber.antenna_height.saved_state import references_as_text, references_from_text
 from camber.antenna_height.settings import AntennaHeightSettings
-from camber.road_map.release_files import write_file
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
+from camber.runtime.state_file import StateFile
 
 _SAVE_EVERY_NS = 60_000_000_000  # chosen: a minute of driving is lost with the power at most
 
@@ -28,8 +26,9 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         super().__init__(settings, bus)
         options = settings.options()
         self._vehicle = options.vehicle
-        self._file = settings.state_dir / "differences.json" if settings.state_dir else None
-        self._estimator = AntennaHeightEstimator(options, _load(self._file, options.vehicle, bus))
+        self._file = StateFile("differences", settings=settings, bus=bus)
+        earlier = self._file.load(lambda text: references_from_text(text, options.vehicle))
+        self._estimator = AntennaHeightEstimator(options, earlier or {})
         self._saved: References = self._estimator.references
         self._saved_ns = self._published_ns = self._source_ns = 0
         self._status: str | None = None
@@ -63,27 +62,14 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
 
     def _save(self) -> None:
         references = self._estimator.references
-        if self._file is None or references == self._saved:
+        if self._file.path is None or references == self._saved:
             return
         self._saved = references
-        try:
-            write_file(self._file, references_as_text(self._vehicle, references).encode())
-        except OSError as error:
-            self.bus.issue("differences_not_kept", f"{self._file}: {error.strerror}")
+        self._file.save(references_as_text(self._vehicle, references))
 
     def healthy(self) -> bool:
         """Whether the height is known: without it nothing can be confirmed."""
         return self._status == "known"
-
-
-def _load(path: Path | None, vehicle: VehicleGeometry, bus: Bus) -> References:
-    if path is None or not path.exists():
-        return {}
-    try:
-        return references_from_text(path.read_text("utf-8"), vehicle)
-    except (OSError, ValueError) as error:
-        bus.issue("differences_unreadable", f"{path}: {error}")
-        return {}
 
 
 SERVICE = AntennaHeightService

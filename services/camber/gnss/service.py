@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -30,9 +29,9 @@ from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.position.satellite_use import satellite_columns
 from camber.gnss.settings import GnssSettings
 from camber.gnss.warm_up import FUNCTIONS, READER_FUNCTIONS, compile_readers, warm_up
-from camber.road_map.release_files import write_file
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
+from camber.runtime.state_file import StateFile
 from camber.schemas.base import Message
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
 from camber.transport.byte_streams import ByteStream, open_stream
@@ -79,7 +78,7 @@ class GnssService(Service[GnssSettings]):
         self._readers: dict[tuple[Stream, StreamProtocol], StreamReader] = {}
         self._fed_ns: dict[tuple[Stream, StreamProtocol], int] = {}
         self._damage: dict[StreamReader, dict[str, int]] = {}
-        self._bases_file = settings.state_dir / "bases.json" if settings.state_dir and self._solves else None
+        self._bases_file = StateFile("bases", settings=settings, bus=bus)
         self._rover = self._make_rover() if self._solves else None
         self._satellites_ns = 0
         self._masks = settings.engine.masks()
@@ -135,17 +134,15 @@ class GnssService(Service[GnssSettings]):
         settings = self.settings
         source = settings.base_source if settings.base_source is not None else settings.source
         mount = source.partition("://")[2] or source
-        bases = BaseWatch(_load_bases(self._bases_file, self.bus), mount[:300], settings.confirmed_bases)
+        memory = self._bases_file.load(memory_from_text) or BaseMemory()
+        bases = BaseWatch(memory, mount[:300], settings.confirmed_bases)
         return Rover(settings.engine, settings.base_ecef_m, bases)
 
     def _save_bases(self, memory: BaseMemory) -> None:
-        if self._bases_file is None or not memory.changed:
+        if self._bases_file.path is None or not memory.changed:
             return
         memory.changed = False
-        try:
-            write_file(self._bases_file, memory_as_text(memory.bases).encode())
-        except OSError as error:
-            self.bus.issue("bases_not_kept", f"{self._bases_file}: {error.strerror}")
+        self._bases_file.save(memory_as_text(memory.bases))
 
     def _open_ports(self) -> list[_StreamPort]:
         settings = self.settings
@@ -355,17 +352,6 @@ class GnssService(Service[GnssSettings]):
             return self._rover.recent.estimates(request)
         reason = "the receiver's own solution; there are no raw observations"
         return Estimates(time_ns=request.time_ns, fix_id=request.fix_id, status="unavailable", reason=reason)
-
-
-def _load_bases(path: Path | None, bus: Bus) -> BaseMemory:
-    """What is remembered; a file that cannot be read is reported, replaced by nothing, and written anew."""
-    if path is None or not path.exists():
-        return BaseMemory()
-    try:
-        return memory_from_text(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        bus.issue("bases_unreadable", f"{path}: {error}")
-        return BaseMemory()
 
 
 SERVICE = GnssService

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.judge import Judge
 from camber.integrity.judgement import FixJudgement, verdict_of
-from camber.integrity.learning.height_correction import Learning, LearningRules
+from camber.integrity.learning.height_correction import Learning
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.integrity.learning.saved_state import from_text, to_text
 from camber.integrity.pose_provenance import is_provisional
@@ -26,6 +25,7 @@ from camber.integrity.settings import IntegritySettings
 from camber.integrity.uploads import UploadBatcher, upload_for
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
+from camber.runtime.state_file import StateFile
 from camber.runtime.uploads.uploader import Uploader
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix
@@ -46,8 +46,9 @@ class IntegrityService(Service[IntegritySettings]):
         if settings.link_delay_s:
             bus.set_link_delay(settings.link_delay_s)
         self._rules = settings.rules()
-        self._state = settings.state_dir / "correction.json" if settings.state_dir else None
-        self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))
+        self._state = StateFile("correction", settings=settings, bus=bus)
+        learning = self._state.load(lambda text: from_text(text, self._rules.learning))
+        self._judge = Judge(self._rules, learning or Learning(self._rules.learning))
         self._saved = self._judge.learning.samples
         self._newest_ns = 0  # of all messages received
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was received
@@ -61,6 +62,7 @@ class IntegrityService(Service[IntegritySettings]):
         assert self.settings.state_dir is not None
         return Uploader(
             self.settings.state_dir / "outbox.sqlite",
+            vehicle=self.settings.vehicle,
             source=self.NAME,
             limit_bytes=int(self.settings.outbox_limit_mb * 1e6),
             ask=self.bus.ask_bytes,
@@ -243,16 +245,10 @@ class IntegrityService(Service[IntegritySettings]):
     def _save(self, least: int) -> None:
         """Write the correction where it has been learnt from `least` positions since."""
         learning = self._judge.learning
-        if self._state is None or learning.samples < self._saved + least:
+        if self._state.path is None or learning.samples < self._saved + least:
             return
         self._saved = learning.samples
-        try:
-            self._state.parent.mkdir(parents=True, exist_ok=True)
-            fresh = self._state.with_suffix(".new")
-            fresh.write_text(to_text(learning))
-            fresh.replace(self._state)
-        except OSError as error:
-            self.bus.issue("correction_not_saved", f"{self._state}: {error.strerror}")
+        self._state.save(to_text(learning))
 
     def gauges(self) -> dict[str, float]:
         """Fixes that wait for their pose, and uploads that wait."""
@@ -270,16 +266,6 @@ class IntegrityService(Service[IntegritySettings]):
         if self._uploader is not None:
             self._uploader.close()
             self._report()
-
-
-def _load_learning(path: Path | None, rules: LearningRules, bus: Bus) -> Learning:
-    if path is None or not path.exists():
-        return Learning(rules)
-    try:
-        return from_text(path.read_text(), rules)
-    except (OSError, ValueError) as error:
-        bus.issue("correction_unreadable", f"{path}: {error}")
-        return Learning(rules)
 
 
 SERVICE = IntegrityService

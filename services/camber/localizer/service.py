@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, cast
 
 from camber.localizer.given_pose import GivenPose
@@ -14,6 +13,7 @@ from camber.localizer.warm_up import FUNCTIONS, warm_up
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.health.memory_release import return_freed_memory
 from camber.runtime.service import Service
+from camber.runtime.state_file import StateFile
 from camber.schemas.pose import ScanMatch
 from camber.schemas.road import (
     ElevationReply,
@@ -47,8 +47,8 @@ class LocalizerService(Service[LocalizerSettings]):
 
     def __init__(self, settings: LocalizerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._given_pose_file = _GivenPoseFile(settings)
-        given = None if self._given_pose_file.was_used() else settings.initial_pose
+        self._given_pose_file = StateFile("given_pose", settings=settings, bus=bus)
+        given = None if self._given_pose_was_used() else settings.initial_pose
         self._memory_released_ns = 0
         self._points_ns = 0  # time of the last match whose points were published
         self._localization = Localization(settings.options(given), _MapServerQueries(bus), bus)
@@ -70,12 +70,26 @@ class LocalizerService(Service[LocalizerSettings]):
     def _on_imu(self, imu: Any) -> None:
         self._note_start(started=self._localization.on_imu(imu))
 
+    def _given_pose_was_used(self) -> bool:
+        """Whether an earlier run may have started from the same pose: after a restart the vehicle is somewhere else.
+
+        Where the note of that cannot be read, it may have.
+        """
+        used = self._given_pose_file.load(GivenPose.model_validate_json)
+        if self._given_pose_file.was_rejected:
+            self._note_start(started=True)
+            return True
+        return used is not None and used == self.settings.initial_pose
+
     def _note_start(self, *, started: bool) -> None:
         """Write that the given pose is used."""
-        if started:
-            problem = self._given_pose_file.write()
-            if problem is not None:
-                self.bus.issue("given_pose_not_kept", problem)
+        given, file = self.settings.initial_pose, self._given_pose_file
+        if not started or given is None or file.save(given.model_dump_json()):
+            return
+        if (
+            file.path is not None or self.settings.clock != "replay"
+        ):  # each replay starts at the begin of its drive
+            self.bus.issue("given_pose_not_kept", "state_dir: expected a folder that can be written")
 
     def advance(self, now_ns: int) -> None:
         """Publish the output."""
@@ -138,38 +152,6 @@ class _MapServerQueries:
             return self._bus.ask(name, request)
         except QueryFailed as error:
             return MapQueryFailure(error.reason, str(error))
-
-
-class _GivenPoseFile:
-    """Notes on disk that a given pose was used: after a restart the vehicle is somewhere else."""
-
-    def __init__(self, settings: LocalizerSettings) -> None:
-        self._given = settings.initial_pose
-        self._replayed = settings.clock == "replay"  # each replay starts at the begin of its drive
-        self._path: Path | None = settings.state_dir / "given_pose.json" if settings.state_dir else None
-
-    def was_used(self) -> bool:
-        """Whether an earlier run of this service has started from the same pose."""
-        try:
-            used = self._path.read_text("utf-8") if self._path is not None else ""
-        except (OSError, UnicodeDecodeError):
-            used = ""
-        return bool(used) and used == _text_of(self._given)
-
-    def write(self) -> str | None:
-        """Note that the pose is used; return the problem where that cannot be written."""
-        if self._path is None:
-            return None if self._replayed else "state_dir: expected a folder, found none"
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._path.write_text(_text_of(self._given), "utf-8")
-        except OSError as error:
-            return f"{self._path}: {error.strerror}"
-        return None
-
-
-def _text_of(given: GivenPose | None) -> str:
-    return "" if given is None else given.model_dump_json()
 
 
 SERVICE = LocalizerService

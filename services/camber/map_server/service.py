@@ -58,6 +58,11 @@ class MapServerService(Service[MapServerSettings]):
         """Those of the warm-up."""
         return FUNCTIONS
 
+    @classmethod
+    def state_folder(cls, settings: MapServerSettings) -> Path | None:
+        """The folder of the store."""
+        return None if settings.store is None else settings.store.parent
+
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         key = None if settings.public_key is None else load_public_key(settings.public_key)

@@ -68,6 +68,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
     SETTINGS: ClassVar[type[ServiceSettings]] = MapUpdateSettings
 
     @classmethod
+    def state_folder(cls, settings: MapUpdateSettings) -> Path | None:
+        """None: workers may share it; the store's transactions and the lock of the releases keep them apart."""
+        return None
+
+    @classmethod
     def prepare(cls, settings: MapUpdateSettings) -> None:
         """Compile the fusion before the service joins the bus."""
         if settings.reference is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import stat
 import tempfile
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -13,6 +12,7 @@ from typing import Protocol, TypeVar
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.base import Message
 from camber.schemas.codec import DecodeError, decode, encode
+from camber.schemas.plain_file import read_plain_file
 
 ROOT_NAME = "root.msgpack"
 MAX_ROOT_BYTES = 1 << 14  # chosen: a root has about 300 bytes
@@ -97,20 +97,13 @@ def verified(data: bytes, name: str, *, digest: str, size: int | None = None, na
 
 
 def read_file(path: Path, limit: int) -> bytes:
-    """Read a regular file of at most `limit` bytes."""
+    """Read a plain file of at most `limit` bytes."""
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # opening a pipe would block
-            raise ReleaseError(str(path), "file", "a plain file")
-        if status.st_size > limit:
-            raise ReleaseError(str(path), "size", f"at most {limit} bytes", actual=str(status.st_size))
-        with path.open("rb") as stream:
-            return stream.read(limit + 1)
+        return read_plain_file(path, limit)
     except (OSError, ValueError) as error:
-        if isinstance(error, ReleaseError):
-            raise
         reason = getattr(error, "strerror", None) or str(error)
-        raise ReleaseError(str(path), "file", f"a readable file ({reason})") from None
+        expected = f"a readable plain file of at most {limit} bytes ({reason})"
+        raise ReleaseError(str(path), "file", expected) from None
 
 
 def blob_path(folder: Path, digest: str) -> Path:

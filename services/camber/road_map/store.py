@@ -3,7 +3,8 @@
     blob      manifests and tiles by SHA-256; verified on arrival and when read
     part      parts of a compressed blob that has not arrived completely
     release   roots with a valid signature: the active one, the previous one, possibly one being downloaded
-    fact      versions of the active and the previous release, and the highest version ever accepted
+    fact      versions of the active and the previous release, and the highest version ever accepted; `checksum` of
+              all releases and facts, since format 2
 
 A release becomes active in one transaction, once all its required blobs are here. Versions only increase: a root with a
 version below the highest accepted is refused, and so is another root of the same version. Only the operator goes back
@@ -14,8 +15,9 @@ harm. The file is a copy of what the cloud has: a damaged one is renamed and a n
 from __future__ import annotations
 
 import sqlite3
+import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -25,15 +27,16 @@ from camber.road_map.release import Release, release_of
 from camber.road_map.release_files import BlobMissingError, decoded, verified
 from camber.road_map.road_columns import ReleaseError
 from camber.road_map.signing_keys import check_signature
+from camber.schemas.plain_file import check_plain_file
 from camber.schemas.road import ReleaseRoot
 
 State = Literal["coming", "here", "left"]
 """State of a release: being downloaded; was or is active; left by the operator."""
 
-FORMAT = 1  # version of the tables below
+FORMAT = 2  # version of the tables below; 1 had no checksum and is given one
 _PAGE_BYTES = 4096  # page size of SQLite and of common file systems
 _WAIT_S = 2.0  # chosen: time to wait for another writer; transactions take milliseconds
-_SCHEMA = f"""
+_SCHEMA = """
 BEGIN IMMEDIATE;
 CREATE TABLE IF NOT EXISTS blob (sha256 TEXT PRIMARY KEY, data BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS part (
@@ -51,9 +54,12 @@ CREATE TABLE IF NOT EXISTS release (
     state TEXT NOT NULL
 );
 CREATE TABLE IF NOT EXISTS fact (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
-PRAGMA user_version = {FORMAT};
-COMMIT;
 """
+_CONTENTS = (  # as bytes: what is no text any more must reach the checksum
+    "SELECT map_version, CAST(region AS BLOB), CAST(manifest AS BLOB), root, CAST(state AS BLOB) FROM release"
+    " ORDER BY map_version",
+    "SELECT CAST(name AS BLOB), value FROM fact WHERE name != 'checksum' ORDER BY CAST(name AS BLOB)",
+)
 _RELEASES = "SELECT map_version, region, manifest, state FROM release"
 _SET_FACT = "INSERT OR REPLACE INTO fact VALUES (?, ?)"
 _SET_STATE = "UPDATE release SET state = ? WHERE map_version = ?"
@@ -271,10 +277,12 @@ class MapStore:
         self._db.close()
 
     def _opened_read_only(self) -> sqlite3.Connection:
+        check_plain_file(self.path)
         return sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=_WAIT_S)
 
     def _opened(self) -> sqlite3.Connection:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        check_plain_file(self.path)
         try:
             return self._connect()
         except sqlite3.DatabaseError as error:
@@ -307,6 +315,10 @@ class MapStore:
                 raise ReleaseError(str(self.path), "format", expected, actual=str(version))
             if version < FORMAT:
                 db.executescript(_SCHEMA)
+                db.execute(_SET_FACT, ("checksum", _checksum(db)))
+                db.execute(f"PRAGMA user_version = {FORMAT}")
+                db.execute("COMMIT")
+            _check_contents(db)
         except BaseException:
             db.close()
             raise
@@ -329,6 +341,7 @@ class MapStore:
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 yield self._db
+                self._db.execute(_SET_FACT, ("checksum", _checksum(self._db)))
                 self._db.execute("COMMIT")
             except BaseException:
                 if self._db.in_transaction:
@@ -353,6 +366,44 @@ class MapStore:
             expected = "one that has been fetched"
             raise ReleaseError(str(self.path), "release", expected, actual=str(map_version))
         return bytes(rows[0][0])
+
+
+def _checksum(db: sqlite3.Connection) -> int:
+    return zlib.crc32(repr([db.execute(query).fetchall() for query in _CONTENTS]).encode())
+
+
+def _check_contents(db: sqlite3.Connection) -> None:
+    """Raise sqlite3.DatabaseError with SQLITE_CORRUPT where releases and facts are not those that were written.
+
+    Blobs are verified when they are read.
+    """
+    problem = None
+    try:
+        (verdict,) = db.execute("PRAGMA integrity_check(fact)").fetchone()
+        stored = db.execute("SELECT value FROM fact WHERE name = 'checksum'").fetchall()
+        if verdict != "ok" or stored != [(_checksum(db),)] or _tables_of(db) != _EXPECTED_TABLES:
+            problem = "checksum of releases and facts"
+    except sqlite3.OperationalError as error:  # a name in the schema that was changed
+        if _code_of(error) != sqlite3.SQLITE_ERROR:
+            raise
+        problem = str(error)
+    if problem is not None:
+        damage = sqlite3.DatabaseError(problem)
+        damage.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+        raise damage
+
+
+def _tables_of(db: sqlite3.Connection) -> list[tuple[str, str]]:
+    return db.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+
+
+def _expected_tables() -> list[tuple[str, str]]:
+    with closing(sqlite3.connect(":memory:")) as model:
+        model.executescript(_SCHEMA)
+        return _tables_of(model)
+
+
+_EXPECTED_TABLES = _expected_tables()
 
 
 def _code_of(error: Exception) -> int:

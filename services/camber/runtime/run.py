@@ -1,7 +1,7 @@
 """Run a service: read settings, join the bus, work until asked to stop, leave.
 
-Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joined, 70 the work loop failed. Ended by
-SIGALRM: the work loop did not end within two seconds of being asked to.
+Exit codes: 0 stopped as asked, 2 settings are wrong or the folder of state is in use, 3 the bus could not be joined, 70
+the work loop failed. Ended by SIGALRM: the work loop did not end within two seconds of being asked to.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from camber.runtime.log import make_logger
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
+from camber.runtime.state_lock import FolderInUseError, locked
 from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
@@ -224,6 +225,15 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     settings: ServiceSettings = load_or_exit(
         service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
     )
+    try:
+        with locked(service_class.state_folder(settings), service_class.NAME):
+            return _run_with(service_class, settings, prog)
+    except FolderInUseError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return 2
+
+
+def _run_with(service_class: type[Service[Any]], settings: ServiceSettings, prog: str) -> int:
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
     collector, metrics, hindrance = _metrics(settings, service_class.NAME)
     with _compilation_logged(settings, service_class):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from camber.runtime.bus import Bus
@@ -30,6 +31,11 @@ class Service(Generic[S]):
     def compiled_functions(cls, settings: S) -> int:
         """Number of compiled functions that `prepare` reads from disk, or compiles at the first start."""
         return 0
+
+    @classmethod
+    def state_folder(cls, settings: S) -> Path | None:
+        """Folder that only one process of this service may use; None: there is none, or several may."""
+        return settings.state_dir
 
     def __init__(self, settings: S, bus: Bus) -> None:
         self.settings = settings

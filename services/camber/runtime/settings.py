@@ -7,7 +7,6 @@ import json
 import os
 import re
 import sys
-import tomllib
 from datetime import date
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, get_args
@@ -24,6 +23,7 @@ from pydantic_settings import (
 )
 
 from camber.schemas.base import Name
+from camber.schemas.bounded_toml import read_toml
 
 S = TypeVar("S", bound="ServiceSettings")
 
@@ -215,10 +215,10 @@ def _refuse_secrets_on_the_command_line(cls: type[ServiceSettings], argv: list[s
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return read_toml(path)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not TOML: {error}") from None
 
 

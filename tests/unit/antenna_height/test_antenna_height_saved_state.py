@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -82,20 +83,42 @@ def test_text_is_read_back_for_the_same_vehicle_only() -> None:
     assert references_from_text(text, replace(vehicle, stored_sigma_m=0.02)) == {}
 
 
-def test_files_of_earlier_versions_stay_valid() -> None:
-    place = {"x_m": 0.3, "y_m": 0.4, "z_m": 1.58}
-    places = dict.fromkeys(("antenna", "suspension", "ranging", "lidar"), place)
-    settings = AntennaHeightSettings(**{**SETTINGS.model_dump(exclude_unset=True), **places})
-    for vehicle, fingerprint in ((SETTINGS, "202fa567c1de1f59"), (settings, "f9973f85cf5e2e4b")):
-        assert f'"vehicle": "{fingerprint}' in references_as_text(vehicle.options().vehicle, {})
+def changed(**changes: object) -> str:
+    """The text of one difference, with fields of it changed."""
+    table = json.loads(references_as_text(SETTINGS.options().vehicle, {("fixed", "stroke"): EARLIER}))
+    table["pairs"][0] |= changes
+    return json.dumps(table)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "[]", '{"vehicle": "", "pairs": [{"ways": ["fixed"], "blocks": 1}]}', "\x00" * 40]
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "\x00" * 40,
+        changed(methods=["fixed"]),
+        changed(methods=["fixed", "fixed"]),
+        changed(mean_m=10.1),
+        changed(mean_m=float("nan")),
+        changed(blocks=0.0),
+        changed(blocks=452.0),
+        changed(squares_m2=3001.0),
+        json.dumps({**json.loads(changed()), "pairs": 2 * json.loads(changed())["pairs"]}),
+    ],
+    ids=lambda text: text[-60:],
 )
-def test_damaged_text_is_refused(text: str) -> None:
+def test_text_with_values_out_of_their_bounds_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         references_from_text(text, SETTINGS.options().vehicle)
+
+
+def test_what_is_not_plausible_is_not_kept() -> None:
+    vehicle = SETTINGS.options().vehicle
+    text = references_as_text(
+        vehicle, {("fixed", "stroke"): Reference(), ("fixed", "ranging"): Reference(9.0, 11.0)}
+    )
+    assert references_from_text(text, vehicle) == {}
 
 
 class HeightBus(FakeBus):
@@ -130,13 +153,14 @@ def test_a_change_between_two_drives_is_a_disagreement_until_it_is_measured(tmp_
 
 def test_a_damaged_file_is_one_issue_and_the_next_is_whole(tmp_path: Path) -> None:
     (tmp_path / "differences.json").write_bytes(b"\xff\x00{")
-    assert [code for code, _ in driven(tmp_path, 0.35).issues] == ["differences_unreadable"]
+    assert [code for code, _ in driven(tmp_path, 0.35).issues] == ["state_rejected"]
     assert driven(tmp_path, 0.35, begin_s=1000).issues == []
-    assert [path.name for path in tmp_path.iterdir()] == ["differences.json"]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["differences.json", "differences.json.corrupt"]
 
 
 def test_where_nothing_can_be_written_the_height_is_known_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     bus = driven(tmp_path / "file", 0.35)
     assert bus.last.status == "known"
-    assert bus.codes() == {"differences_not_kept"}
+    assert bus.codes() == {"state_not_saved"}

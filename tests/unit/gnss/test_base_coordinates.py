@@ -20,6 +20,7 @@ from camber.runtime.bus import Bus
 from camber.schemas.gnss import ReceiverBytes
 from support.gnss_bus import GnssBus
 from support.raw_drive import RawDrive
+from support.state_files import content_of, write_state
 
 NS = 1_000_000_000
 RIGHT = BaseOffset(enu_m=(0.4, -0.3, 1.0), sigma_m=(1.0, 1.1, 4.9), chi2=0.3)
@@ -57,9 +58,7 @@ def remembered(drive: RawDrive, folder: Path, north_m: float = 0.0) -> Path:
     station, memory = run.base.name.partition("@")[0], BaseMemory()
     moved_m = run.base.position_ecef_m - np.array([0.0, 0.0, north_m])
     memory.remember("bus", station, moved_m, time_ns=drive.times_ns[0] - 86_400 * NS, offset=RIGHT)
-    path = folder / "bases.json"
-    path.write_text(memory_as_text(memory.bases), "utf-8")
-    return path
+    return write_state(folder, "bases", memory_as_text(memory.bases))
 
 
 def test_a_station_where_it_was_yesterday_gives_fixes(raw_drive: RawDrive, tmp_path: Path) -> None:
@@ -72,7 +71,7 @@ def test_a_station_where_it_was_yesterday_gives_fixes(raw_drive: RawDrive, tmp_p
 def test_a_station_that_moved_gives_no_fixes_until_its_name_is_confirmed(
     raw_drive: RawDrive, tmp_path: Path
 ) -> None:
-    path = remembered(raw_drive, tmp_path, north_m=1.7)
+    remembered(raw_drive, tmp_path, north_m=1.7)
     run = Run(raw_drive, tmp_path)
     assert run.bus.qualities() == ["single"] * 3
     assert run.bus.counters["not_fixed.base_moved"] == 3
@@ -82,7 +81,7 @@ def test_a_station_that_moved_gives_no_fixes_until_its_name_is_confirmed(
     assert Run(raw_drive, tmp_path).bus.qualities() == ["single"] * 3, "also after a restart"
     confirmed = Run(raw_drive, tmp_path, confirmed_bases=(run.base.name,))
     assert confirmed.bus.qualities() == ["fixed"] * 3
-    assert memory_from_text(path.read_text("utf-8")).bases == []
+    assert memory_from_text(content_of(tmp_path, "bases")).bases == []
     given = run.base.position_ecef_m.tolist()
     assert Run(raw_drive, tmp_path, base_ecef_m=tuple(given)).bus.qualities() == ["fixed"] * 3
 
@@ -95,7 +94,7 @@ def test_a_damaged_file_is_one_line_and_an_empty_memory(
     run = Run(raw_drive, tmp_path)
     assert run.bus.qualities() == ["fixed"] * 3
     (issue,) = run.bus.issues
-    assert issue[0] == "bases_unreadable"
+    assert issue[0] == "state_rejected"
     assert "\n" not in issue[1]
 
 
@@ -108,7 +107,7 @@ def test_what_is_new_is_written_and_a_folder_that_cannot_be_is_reported(
     assert run.service._rover is not None
     run.service._rover.bases.remember(run.base)
     run.service.advance(run.bus.time_ns)
-    kept = memory_from_text((tmp_path / "bases.json").read_text("utf-8"))
+    kept = memory_from_text(content_of(tmp_path, "bases"))
     assert [base.station for base in kept.bases] == [run.base.name.partition("@")[0]]
     (tmp_path / "a file").write_text("")
     blocked = Run(raw_drive, tmp_path / "a file")
@@ -116,19 +115,19 @@ def test_what_is_new_is_written_and_a_folder_that_cannot_be_is_reported(
     assert blocked.service._rover is not None
     blocked.service._rover.bases.remember(blocked.base)
     blocked.service.advance(blocked.bus.time_ns)
-    assert "bases_not_kept" in blocked.bus.named()
+    assert "state_not_saved" in blocked.bus.named()
 
 
 _WRITER = """
 import sys
 from pathlib import Path
-from camber.gnss.observations.base_coordinate_history import memory_as_text, memory_from_text
-from camber.road_map.release_files import write_file
-path = Path(sys.argv[1])
-bases = memory_from_text(path.read_text("utf-8")).bases
+from camber.runtime.settings import ServiceSettings
+from camber.runtime.state_file import StateFile
+file = StateFile("bases", settings=ServiceSettings(state_dir=Path(sys.argv[1]).parent), bus=None)
+content = file.load(str)
 print("ready", flush=True)
 while True:
-    write_file(path, memory_as_text(bases).encode())
+    file.save(content)
 """
 
 

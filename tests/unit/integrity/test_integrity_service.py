@@ -321,7 +321,7 @@ def test_after_the_clock_was_set_back_there_is_no_silence(rig):
 
 
 def batches_in(folder):
-    with closing(Outbox(folder / "outbox.sqlite", limit_bytes=1 << 20)) as outbox:
+    with closing(Outbox(folder / "outbox.sqlite", vehicle="vehicle", limit_bytes=1 << 20)) as outbox:
         waiting = outbox.pending(100)
     assert {upload.channel for upload in waiting} <= {"upload_batch"}
     return [decode(UploadBatch, upload.payload, None).message for upload in waiting]
@@ -389,16 +389,17 @@ def test_a_damaged_correction_is_an_issue_and_none(tmp_path, text):
     (tmp_path / "correction.json").write_text(text)
     rig = Rig(state_dir=tmp_path, upload=False)
     assert rig.service._judge.learning.parts == ()
-    assert str(tmp_path) in rig.bus.issues["correction_unreadable"]
+    assert str(tmp_path) in rig.bus.issues["state_rejected"]
 
 
 def test_a_correction_that_cannot_be_saved_is_an_issue(tmp_path):
     rig = Rig(state_dir=tmp_path, upload=False)
-    (tmp_path / "correction.new").mkdir()
+    (tmp_path / "correction.json").mkdir()
+    (tmp_path / "correction.json" / "file").write_text("in the way")
     for k in range(15):
         rig.epoch(k, fix=fix(k, up_m=0.1))
     rig.service.close()
-    assert "correction.json" in rig.bus.issues["correction_not_saved"]
+    assert "correction.json" in rig.bus.issues["state_not_saved"]
 
 
 def test_a_judge_that_learnt_nothing_writes_nothing(tmp_path):

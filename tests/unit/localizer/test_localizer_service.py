@@ -555,6 +555,17 @@ def test_a_given_pose_is_believed_once_and_not_at_the_next_start(tmp_path: Path)
     assert elsewhere.run(1).mode != "none"
 
 
+def test_a_given_pose_counts_as_used_where_the_note_of_it_is_damaged(tmp_path: Path) -> None:
+    given: dict[str, Any] = {"initial_pose": GIVEN, "state_dir": tmp_path, "clock": "system"}
+    (tmp_path / "given_pose.json").write_bytes(b"{")
+    first = Drive(**given)
+    assert first.run(1).mode == "none"
+    assert first.codes() == {"state_rejected": 1}
+    again = Drive(**given)
+    assert again.run(1).mode == "none"
+    assert again.codes() == {}
+
+
 def test_a_given_pose_that_nothing_can_keep_from_being_believed_again_is_an_issue() -> None:
     drive = Drive(initial_pose=GIVEN, clock="system")
     drive.run(5)

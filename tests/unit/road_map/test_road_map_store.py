@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import random
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -207,3 +210,65 @@ def test_a_store_of_a_later_program_is_not_changed(tmp_path: Path) -> None:
         db.execute("PRAGMA user_version = 99")
     with pytest.raises(ReleaseError, match="later version"):
         MapStore(tmp_path / "map.sqlite")
+
+
+def contents_or_problem(path: Path) -> list[object] | str:
+    """What a store says of its releases, or the file that its ReleaseError names."""
+    try:
+        with closing(MapStore(path)) as store:
+            return [store.current(), store.previous(), store.highest(), store.root()]
+    except ReleaseError as error:
+        return path.name if path.name in str(error) else str(error)
+
+
+def test_any_changed_byte_is_named_and_never_another_release(tmp_path: Path, store: MapStore) -> None:
+    for version in (7, 8):
+        write(tmp_path / "map", [surface(1, heights_m=version)], map_version=version)
+        stored(store, tmp_path / "map")
+    states = [store.current(), store.previous(), store.highest(), store.root()]
+    store.close()
+    path = tmp_path / "map.sqlite"
+    data = path.read_bytes()
+    print("seed 24")
+    rng = random.Random(24)
+    for k in range(200):
+        at = rng.randrange(len(data)) if k % 2 else rng.randrange(100)
+        damaged = bytearray(data)
+        damaged[at] ^= rng.randrange(1, 256)
+        path.write_bytes(damaged if k % 10 else data[:at])
+        for log in ("-wal", "-shm"):
+            path.with_name(path.name + log).unlink(missing_ok=True)
+        assert contents_or_problem(path) in (states, "map.sqlite")
+
+
+def test_facts_that_another_program_has_changed_are_damage(tmp_path: Path, store: MapStore) -> None:
+    write(tmp_path / "map", [surface(1)], map_version=7)
+    stored(store, tmp_path / "map")
+    store.close()
+    with sqlite3.connect(tmp_path / "map.sqlite") as db:
+        db.execute("UPDATE fact SET value = 3 WHERE name = 'highest'")
+    again = MapStore(tmp_path / "map.sqlite")
+    assert again.notice is not None
+    assert again.highest() is None
+
+
+def test_a_store_of_before_there_was_a_checksum_is_read_once_and_given_one(
+    tmp_path: Path, store: MapStore
+) -> None:
+    write(tmp_path / "map", [surface(1)], map_version=7)
+    stored(store, tmp_path / "map")
+    store.close()
+    with sqlite3.connect(tmp_path / "map.sqlite") as db:
+        db.execute("DELETE FROM fact WHERE name = 'checksum'")
+        db.execute("PRAGMA user_version = 1")
+    for _ in range(2):
+        again = MapStore(tmp_path / "map.sqlite")
+        assert (again.highest(), again.notice) == (7, None)
+        again.close()
+
+
+def test_a_pipe_in_the_place_of_a_store_is_one_line_and_does_not_block(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "map.sqlite")
+    for read_only in (False, True):
+        with pytest.raises(ReleaseError, match="not a plain file"):
+            MapStore(tmp_path / "map.sqlite", read_only=read_only)

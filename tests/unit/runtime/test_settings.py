@@ -149,7 +149,7 @@ def test_every_level_overrules_those_below_it(
             }.items()
         ),
         ({}, "", ["--config", "/nowhere/x.toml"], "/nowhere/x.toml: No such file or directory"),
-        ({}, "", ["--config", "/"], "/: Is a directory"),
+        ({}, "", ["--config", "/"], "/: not a plain file"),
     ],
 )
 def test_what_is_unknown_is_named_with_its_place(

@@ -10,12 +10,13 @@ are not remembered.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from camber.formats.observations import Floats
 from camber.geodesy.gps_time import NS_PER_SECOND
@@ -34,6 +35,8 @@ _MOST_DAYS, _MOST_BASES = (
 _Metres = Annotated[float, Field(ge=-1e3, le=1e3)]
 _Sigma = Annotated[float, Field(gt=0.0, le=1e3)]
 _Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
+_EARTH_RADII_M = (6_346_000.0, 6_388_000.0)
+"""Chosen: WGS 84's semi-axes (6,356,752 and 6,378,137 m), wider by 10 km: every place where a base can stand."""
 
 
 class _Day(Model):
@@ -51,9 +54,17 @@ class _Base(Model):
     ecef_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     days: Annotated[tuple[_Day, ...], Field(min_length=1, max_length=_MOST_DAYS)]
 
+    @model_validator(mode="after")
+    def _on_the_earth(self) -> Self:
+        least_m, most_m = _EARTH_RADII_M
+        if not least_m <= math.hypot(*self.ecef_m) <= most_m:
+            raise ValueError(
+                f"ecef_m: expected a place {least_m:.0f} to {most_m:.0f} m from the Earth's centre"
+            )
+        return self
+
 
 class _Bases(Model):
-    format: Literal[1]
     bases: Annotated[tuple[_Base, ...], Field(max_length=_MOST_BASES)]
 
 
@@ -148,17 +159,12 @@ def _mean(before: Vector, new: Vector, n: int) -> Vector:
 
 def memory_as_text(bases: Iterable[_Base]) -> str:
     """All stations, for a file."""
-    return _Bases(format=1, bases=tuple(bases)).model_dump_json()
+    return _Bases(bases=tuple(bases)).model_dump_json()
 
 
 def memory_from_text(text: str) -> BaseMemory:
-    """The reverse. Raises ValueError, one line: a damaged file is refused whole."""
-    try:
-        saved = _Bases.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"])) or "text"
-        raise ValueError(f"{place}: {first['msg']}") from error
+    """The reverse. Raises ValueError for values out of their bounds."""
+    saved = _Bases.model_validate_json(text)
     for base in saved.bases:
         if len({day.day for day in base.days}) != len(base.days):
             raise ValueError(f"days of {base.station}: expected each day once")

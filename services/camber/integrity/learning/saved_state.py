@@ -1,17 +1,18 @@
-"""What was learnt, as text that is kept over a restart. A damaged one never moves the height: it is refused whole."""
+"""What was learnt, as text that is kept over a restart. Values out of their bounds are refused whole."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from camber.integrity.learning.height_correction import Correction, CorrectionState, Learning, LearningRules
 from camber.integrity.learning.offset_causes import RoadChange
 from camber.schemas.base import Count, Model, TimeNs
 
 _Key = Annotated[str, Field(max_length=200)]
+_ROAD_OFFSET_M = 10.0  # chosen: a rebuilt road moves by metres; farther away is another one
 
 
 class _SavedCorrection(Model):
@@ -26,12 +27,11 @@ class _SavedCorrection(Model):
 class _SavedRoadChange(Model):
     surface_id: Count
     map_version: Count
-    offset_m: Annotated[float, Field(ge=-100.0, le=100.0)]
+    offset_m: Annotated[float, Field(ge=-_ROAD_OFFSET_M, le=_ROAD_OFFSET_M)]
     onset_ns: TimeNs
 
 
 class _SavedLearning(Model):
-    format: Literal[1]
     parts: Annotated[tuple[_SavedCorrection, ...], Field(max_length=64)]
     roads: Annotated[tuple[_SavedRoadChange, ...], Field(max_length=4096)]
 
@@ -49,18 +49,17 @@ def to_text(learning: Learning) -> str:
         )
         for part in learning.parts
     )
-    roads = tuple(_SavedRoadChange(**asdict(road)) for road in learning.causes.roads.values())
-    return _SavedLearning(format=1, parts=parts, roads=roads[-4096:]).model_dump_json()
+    roads = tuple(
+        _SavedRoadChange(**asdict(road))
+        for road in learning.causes.roads.values()
+        if abs(road.offset_m) <= _ROAD_OFFSET_M
+    )
+    return _SavedLearning(parts=parts, roads=roads[-4096:]).model_dump_json()
 
 
 def from_text(text: str, rules: LearningRules) -> Learning:
-    """The reverse. Raises ValueError, one line, that says what was expected where."""
-    try:
-        kept = _SavedLearning.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "text"
-        raise ValueError(f"{place}: {first['msg']}") from error
+    """The reverse. Raises ValueError, which says what was expected where."""
+    kept = _SavedLearning.model_validate_json(text)
     for part in kept.parts:
         if not abs(part.correction_m) <= rules.cap_m:
             raise ValueError(

@@ -35,6 +35,7 @@ from camber.map_update.stores.store import (
     ledger_row,
 )
 from camber.map_update.stores.upload_deduplication import Outcome, RefusalCheck, deduplicate
+from camber.schemas.plain_file import check_plain_file
 
 _TYPES = {"bigint": "INTEGER", "blob": "BLOB"}
 
@@ -55,6 +56,7 @@ class SqliteStore(Store):
         with self._errors_named():
             if not read_only:
                 path.parent.mkdir(parents=True, exist_ok=True)
+            check_plain_file(path)
             uri = f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}"
             self._db = sqlite3.connect(uri, uri=True, timeout=busy_s, isolation_level=None)
         try:

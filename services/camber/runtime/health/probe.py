@@ -14,7 +14,6 @@ import os
 import struct
 import sys
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -24,6 +23,7 @@ from typing import Any
 import msgpack
 
 from camber.runtime.session import BusError, open_session
+from camber.schemas.bounded_toml import read_toml
 
 ROUTER = "router"
 FIRST_PROCESS = Path("/proc/1/cmdline")
@@ -55,7 +55,7 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> ProbeSettin
 
     Whether they are right is the service's own affair; ValueError and OSError are those of reading them.
     """
-    table = tomllib.loads(settings.read_text("utf-8")) if settings.exists() else {}
+    table = read_toml(settings) if settings.exists() else {}
     prefix = f"CAMBER_{service.upper()}_"
     here = {
         name.upper().removeprefix(prefix): text

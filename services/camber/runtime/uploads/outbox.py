@@ -22,6 +22,7 @@ from camber.runtime.uploads.sqlite_recovery import (
     finish_swap,
     is_damage,
     is_hindrance,
+    is_plain,
     readable_rows,
     replace_damaged,
 )
@@ -34,23 +35,23 @@ _PAGE_BYTES = 4096  # SQLite's default page size
 _LEAST_LIMIT_BYTES = 16 * _PAGE_BYTES
 _WAIT_S = 1.0  # for another process that has the file open, an inspecting one for instance
 
+_FORMAT = 2  # 1 had no table `identity`
 _SCHEMA = """
-BEGIN IMMEDIATE;
-CREATE TABLE IF NOT EXISTS upload (
+CREATE TABLE identity (format INTEGER PRIMARY KEY, vehicle TEXT NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE upload (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     id TEXT NOT NULL UNIQUE,
     channel TEXT NOT NULL,
     payload BLOB NOT NULL,
     checksum INTEGER NOT NULL
 );
-CREATE TABLE IF NOT EXISTS dead_letter (
+CREATE TABLE dead_letter (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     id TEXT NOT NULL,
     channel TEXT NOT NULL,
     payload BLOB NOT NULL,
     reason TEXT NOT NULL
 );
-COMMIT;
 """
 
 
@@ -90,13 +91,15 @@ class Outbox:
     """The durable queue; its methods may be called from any thread.
 
     `limit_bytes` bounds the file; dead letters get an eighth of it on top, the write-ahead log about 1 MB. A file that
-    is damaged is renamed to `….corrupt`, and what can be read of it is carried over; `notice` says so, else None.
+    is damaged or of an earlier format is renamed to `….corrupt`, and what can be read of it is carried over; of another
+    vehicle's nothing is. `notice` says so, else None.
     """
 
-    def __init__(self, path: Path, *, limit_bytes: int) -> None:
+    def __init__(self, path: Path, *, vehicle: str, limit_bytes: int) -> None:
         if limit_bytes < _LEAST_LIMIT_BYTES:
             raise ValueError(f"limit_bytes is {limit_bytes}, expected {_LEAST_LIMIT_BYTES} or more")
         self.path = path
+        self._vehicle = vehicle
         self.notice: str | None = None
         self._pages = limit_bytes // _PAGE_BYTES
         self._dead_letter_bytes = limit_bytes // 8
@@ -208,14 +211,16 @@ class Outbox:
     def _open(self) -> sqlite3.Connection:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         finish_swap(self.path)
-        return _connect(self.path)
+        return _connect(self.path, self._vehicle)
 
     def _start_anew(self) -> None:
         self.close()
-        rows = [row for row in readable_rows(self.path, "upload", _COLUMNS) if _intact(row)]
+        foreign = _vehicle_named_in(self.path) not in (None, self._vehicle)
+        kept = () if foreign else readable_rows(self.path, "upload", _COLUMNS)
+        rows = [row for row in kept if _intact(row)]
 
         def fill(fresh: Path) -> None:
-            with closing(_connect(fresh)) as db:
+            with closing(_connect(fresh, self._vehicle)) as db:
                 db.execute("BEGIN IMMEDIATE")
                 db.executemany(
                     f"INSERT OR IGNORE INTO upload ({', '.join(_COLUMNS)}) VALUES (?, ?, ?, ?, ?)", rows
@@ -223,7 +228,8 @@ class Outbox:
                 db.execute("COMMIT")
 
         damaged = replace_damaged(self.path, fill)
-        self.notice = f"{self.path} was damaged: moved to {damaged.name}, {len(rows)} uploads carried over"
+        what = "is of another vehicle" if foreign else "was damaged or of an earlier format"
+        self.notice = f"{self.path} {what}: moved to {damaged.name}, {len(rows)} uploads carried over"
 
     def _bury(self, db: sqlite3.Connection, number: int, reason: str) -> None:
         db.execute(
@@ -246,15 +252,18 @@ class Outbox:
 
 
 _COLUMNS = ("number", "id", "channel", "payload", "checksum")
+_IDENTITY = ("format", "vehicle", "checksum")
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    """Open a sound file, or make one. Raises sqlite3.DatabaseError with SQLITE_CORRUPT for anything else."""
+def _connect(path: Path, vehicle: str) -> sqlite3.Connection:
+    """Open a vehicle's sound file, or make one. Raises sqlite3.DatabaseError with SQLITE_CORRUPT for anything else."""
+    if not is_plain(path):
+        raise _damage("not a plain file")
     db = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
     # A damaged name must reach the checksum, not raise on the way to it.
     db.text_factory = lambda raw: raw.decode("utf-8", "replace")
     try:
-        _prepare(db)
+        _prepare(db, vehicle)
     except sqlite3.Error as error:
         db.close()
         if is_hindrance(error):
@@ -263,7 +272,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     return db
 
 
-def _prepare(db: sqlite3.Connection) -> None:
+def _prepare(db: sqlite3.Connection, vehicle: str) -> None:
     db.execute(f"PRAGMA page_size = {_PAGE_BYTES}")
     db.execute("PRAGMA journal_mode = WAL")
     db.execute("PRAGMA synchronous = FULL")
@@ -271,15 +280,37 @@ def _prepare(db: sqlite3.Connection) -> None:
     db.execute(f"PRAGMA journal_size_limit = {256 * _PAGE_BYTES}")
     db.execute("PRAGMA cell_size_check = ON")
     if not _tables(db):
-        db.executescript(_SCHEMA)
+        _create(db, vehicle)
     db.execute("DELETE FROM upload WHERE number < 0")  # one flipped bit makes a file that can only be read
     (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
     if verdict != "ok":
         raise _damage(verdict)
     with closing(sqlite3.connect(":memory:")) as model:
-        model.executescript(_SCHEMA)
+        _create(model, vehicle)
         if _tables(db) != _tables(model):  # one flipped bit in a name hides a table
             raise _damage("not the tables of an outbox")
+    if db.execute(f"SELECT {', '.join(_IDENTITY)} FROM identity").fetchall() != [_identity(vehicle)]:
+        raise _damage("not the outbox of this vehicle")
+
+
+def _create(db: sqlite3.Connection, vehicle: str) -> None:
+    db.execute("BEGIN IMMEDIATE")
+    for statement in _SCHEMA.split(";")[:-1]:
+        db.execute(statement)
+    db.execute("INSERT INTO identity VALUES (?, ?, ?)", _identity(vehicle))
+    db.execute("COMMIT")
+
+
+def _identity(vehicle: str) -> tuple[int, str, int]:
+    return _FORMAT, vehicle, zlib.crc32(f"{_FORMAT} {vehicle}".encode())
+
+
+def _vehicle_named_in(path: Path) -> str | None:
+    """The vehicle whose outbox this is; None where that cannot be read any more."""
+    for row in readable_rows(path, "identity", _IDENTITY):
+        if isinstance(row[1], str) and row == _identity(row[1]):
+            return row[1]
+    return None
 
 
 def _tables(db: sqlite3.Connection) -> list[tuple[str, str]]:

@@ -14,6 +14,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+from camber.schemas.plain_file import check_plain_file
+
 _PARTS = ("-wal", "-shm", "")  # the file itself last: while it is there its log must not be lost sight of
 
 _HINDRANCES = (
@@ -39,12 +41,24 @@ def is_hindrance(error: sqlite3.Error) -> bool:
     return getattr(error, "sqlite_errorcode", 0) & 0xFF in _HINDRANCES
 
 
+def is_plain(path: Path) -> bool:
+    """Is each part of the file that exists a plain file? SQLite would wait for ever at a pipe."""
+    try:
+        for part in _PARTS:
+            check_plain_file(_named(path, part))
+    except OSError:
+        return False
+    return True
+
+
 def readable_rows(path: Path, table: str, columns: Sequence[str]) -> list[tuple[Any, ...]]:
     """The rows of `table` that can still be read, by its integer key (`columns[0]`).
 
     Reads from both ends up to the damage. A row may be wrong in itself: the caller checks it.
     """
     rows: dict[Any, tuple[Any, ...]] = {}
+    if not is_plain(path):
+        return []
     with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(path)) as db:
         db.text_factory = lambda raw: raw.decode("utf-8", "replace")
         for order in ("ASC", "DESC"):

@@ -29,7 +29,7 @@ class Uploader:
     """Durable outbox and sender behind a queue. `put`, `problems` and `close` are called from the work loop."""
 
     def __init__(
-        self, path: Path, *, source: str, limit_bytes: int, ask: Callable[[str, bytes], Reply]
+        self, path: Path, *, vehicle: str, source: str, limit_bytes: int, ask: Callable[[str, bytes], Reply]
     ) -> None:
         self._source = source
         self._queue: queue.Queue[Upload | None] = queue.Queue(_QUEUE_LIMIT)
@@ -38,7 +38,7 @@ class Uploader:
         self._reported: Counter[str] = Counter()
         self._silence_reported_s = float("-inf")
         self._hindrance = ""
-        self.outbox = Outbox(path, limit_bytes=limit_bytes)
+        self.outbox = Outbox(path, vehicle=vehicle, limit_bytes=limit_bytes)
         self.sender = SenderThread(self.outbox, ask)
         self._writer = threading.Thread(target=self._write, name="outbox", daemon=True)
         self._writer.start()

@@ -118,10 +118,13 @@ def test_it_is_the_same_after_a_restart():
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        (lambda kept: kept | {"format": 2}, "format"),
         (lambda kept: kept | {"more": 1}, "more"),
         (lambda kept: kept | {"bases": [kept["bases"][0] | {"ecef_m": [1.0, 2.0]}]}, "bases.0.ecef_m"),
         (lambda kept: kept | {"bases": [kept["bases"][0] | {"ecef_m": [1e8, 2.0, 3.0]}]}, "bases.0.ecef_m"),
+        (
+            lambda kept: kept | {"bases": [kept["bases"][0] | {"ecef_m": [6.4e6, 0.0, 0.0]}]},
+            "ecef_m: expected",
+        ),
         (lambda kept: kept | {"bases": [kept["bases"][0] | {"days": []}]}, "bases.0.days"),
         (
             lambda kept: kept | {"bases": [kept["bases"][0] | {"days": 2 * kept["bases"][0]["days"]}]},
@@ -129,11 +132,10 @@ def test_it_is_the_same_after_a_restart():
         ),
     ],
 )
-def test_a_file_with_any_other_content_is_refused_in_one_line(change, place):
+def test_a_file_with_any_other_content_is_refused(change, place):
     text = json.dumps(change(json.loads(memory_as_text(memory().bases))))
-    with pytest.raises(ValueError, match=place) as error:
+    with pytest.raises(ValueError, match=place):
         memory_from_text(text)
-    assert "\n" not in str(error.value)
 
 
 @settings(derandomize=True, deadline=None, max_examples=300)

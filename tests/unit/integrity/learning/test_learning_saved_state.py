@@ -72,6 +72,9 @@ def test_of_more_roads_than_can_be_kept_the_newest_are():
     assert [*from_text(to_text(Learning(RULES, (), roads)), RULES).causes.roads] == [*range(1, 4097)]
 
 
+ROAD = json.loads(to_text(learning()))["roads"][0]
+
+
 def changed(**changes):
     table = json.loads(to_text(learning()))
     table["parts"][0] |= changes
@@ -87,7 +90,7 @@ def changed(**changes):
         "{",
         to_text(learning())[:-5],
         json.dumps({"correction_m": 0.1, "samples": 1}),
-        json.dumps(json.loads(to_text(learning())) | {"format": 2}),
+        json.dumps(json.loads(to_text(learning())) | {"roads": [ROAD | {"offset_m": 10.1}]}),
         json.dumps(json.loads(to_text(learning())) | {"more": 1}),
         changed(more=1),
         changed(correction_m=0.31),
@@ -102,24 +105,21 @@ def changed(**changes):
         changed(samples=-1),
         changed(samples=1.5),
         changed(antenna="x" * 201),
-        json.dumps({"format": 1, "roads": [], "parts": 2 * json.loads(to_text(learning()))["parts"]}),
+        json.dumps({"roads": [], "parts": 2 * json.loads(to_text(learning()))["parts"]}),
     ],
     ids=lambda text: text[:60],
 )
-def test_a_damaged_one_is_refused_in_one_line(text):
-    with pytest.raises(ValueError, match=r".+") as refused:
+def test_values_out_of_their_bounds_are_refused(text):
+    with pytest.raises(ValueError, match=r"\w"):
         from_text(text, RULES)
-    assert "\n" not in str(refused.value)
-    assert "parts" in str(refused.value) or ":" in str(refused.value) or "correction_m" in str(refused.value)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", r"text: Invalid JSON.*"),
-        (changed(correction_m=None), r"parts\.0\.correction_m: .*"),
+        (changed(correction_m=0.31), r"correction_m is 0\.31, expected a number within ±0\.3 m"),
         (
-            json.dumps({"format": 1, "roads": [], "parts": 2 * json.loads(to_text(learning()))["parts"]}),
+            json.dumps({"roads": [], "parts": 2 * json.loads(to_text(learning()))["parts"]}),
             "parts: expected each antenna and base once",
         ),
     ],

@@ -23,7 +23,7 @@ def upload(number: int, size: int = 200) -> Upload:
 
 
 def opened(path, limit_bytes=LIMIT):
-    return closing(Outbox(path, limit_bytes=limit_bytes))
+    return closing(Outbox(path, vehicle="car", limit_bytes=limit_bytes))
 
 
 def held(outbox: Outbox) -> list[Upload]:
@@ -113,7 +113,7 @@ def test_of_the_dead_letters_the_newest_are_kept(path):
 
 def test_a_limit_too_small_for_its_tables_is_an_error(path):
     with pytest.raises(ValueError, match="limit_bytes"):
-        Outbox(path, limit_bytes=4096)
+        Outbox(path, vehicle="car", limit_bytes=4096)
 
 
 def test_a_full_outbox_says_so_names_its_file_and_keeps_what_it_has(path):
@@ -170,7 +170,7 @@ def test_a_disk_that_takes_no_more_loses_nothing_and_the_outbox_goes_on_when_the
 def test_an_outbox_that_cannot_be_opened_says_so_on_put_and_works_when_it_can(tmp_path):
     folder = tmp_path / "state"
     folder.write_text("a file where a folder should be")
-    outbox = Outbox(folder / "outbox.sqlite", limit_bytes=LIMIT)
+    outbox = Outbox(folder / "outbox.sqlite", vehicle="car", limit_bytes=LIMIT)
     with pytest.raises(OutboxError, match=r"outbox\.sqlite"):
         outbox.put_many([upload(1)])
     folder.unlink()
@@ -197,7 +197,7 @@ import os, random, sys
 from pathlib import Path
 from camber.runtime.uploads.outbox import Outbox, Upload
 path, first, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-rng, outbox, number = random.Random(seed), Outbox(path, limit_bytes=64 << 20), first
+rng, outbox, number = random.Random(seed), Outbox(path, vehicle="car", limit_bytes=64 << 20), first
 while True:
     numbers = range(number, number + rng.choice((1, 1, 5, 50)))
     outbox.put_many([Upload(f"u{n}", "upload", random.Random(n).randbytes(200)) for n in numbers])
@@ -343,3 +343,50 @@ def test_where_there_is_no_room_to_mend_a_damaged_file_it_stays_as_it_is(tmp_pat
         "outbox.sqlite": b"damaged",
         "outbox.sqlite.corrupt": b"the last copy",
     }
+
+
+def test_any_changed_byte_or_cut_is_named_or_changes_no_upload(path):
+    put = [upload(n) for n in range(20)]
+    data = stored(path, put)
+    print("seed 24")
+    rng = random.Random(24)
+    for k in range(200):
+        damaged = bytearray(data)
+        at = rng.randrange(len(data))
+        damaged[at] ^= rng.randrange(1, 256)
+        path.write_bytes(damaged if k % 10 else data[:at])
+        for log in ("-wal", "-shm"):
+            path.with_name(path.name + log).unlink(missing_ok=True)
+        with opened(path) as outbox:
+            result = held(outbox)
+            dead = {letter for letter, _ in outbox.dead_letters()}
+            assert set(result) <= set(put)
+            if {u.id for u in put} - {u.id for u in result} - dead:
+                assert "outbox.sqlite.corrupt" in outbox.notice
+
+
+def test_an_outbox_of_another_vehicle_is_rejected_and_none_of_it_is_sent(path):
+    data = stored(path, [upload(1)])
+    with closing(Outbox(path, vehicle="car-2", limit_bytes=LIMIT)) as outbox:
+        assert held(outbox) == []
+        assert outbox.notice == (
+            f"{path} is of another vehicle: moved to outbox.sqlite.corrupt, 0 uploads carried over"
+        )
+    assert path.with_name("outbox.sqlite.corrupt").read_bytes()[8192:] == data[8192:]
+
+
+def test_uploads_of_an_outbox_of_before_it_named_its_vehicle_are_carried_over(path):
+    stored(path, [upload(1), upload(2)])
+    with sqlite3.connect(path) as db:
+        db.execute("DROP TABLE identity")
+    with opened(path) as outbox:
+        assert held(outbox) == [upload(1), upload(2)]
+        assert "earlier format" in outbox.notice
+
+
+def test_a_pipe_in_the_place_of_an_outbox_is_rejected_and_does_not_block(path):
+    os.mkfifo(path)
+    with opened(path) as outbox:
+        assert "outbox.sqlite.corrupt" in outbox.notice
+        outbox.put_many([upload(1)])
+        assert held(outbox) == [upload(1)]

@@ -58,7 +58,7 @@ class Wire:
 
 @pytest.fixture
 def outbox(tmp_path):
-    with closing(Outbox(tmp_path / "outbox.sqlite", limit_bytes=LIMIT)) as outbox:
+    with closing(Outbox(tmp_path / "outbox.sqlite", vehicle="car", limit_bytes=LIMIT)) as outbox:
         yield outbox
 
 
@@ -238,7 +238,7 @@ class BadCloud(RuleBasedStateMachine):
         self.start()
 
     def start(self):
-        self.outbox = Outbox(self.folder / "outbox.sqlite", limit_bytes=LIMIT)
+        self.outbox = Outbox(self.folder / "outbox.sqlite", vehicle="car", limit_bytes=LIMIT)
         self.wire = Wire()
         self.sender = Sender(self.outbox, self.wire.send, window=3, rng=random.Random(0))
 

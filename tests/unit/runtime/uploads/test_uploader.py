@@ -36,7 +36,7 @@ def make(path):
     """Makes uploaders, and closes them at the end of the test at the latest."""
     with ExitStack() as made:
         yield lambda ask=silent: made.enter_context(
-            closing(Uploader(path, source="integrity", limit_bytes=LIMIT, ask=ask))
+            closing(Uploader(path, vehicle="car", source="integrity", limit_bytes=LIMIT, ask=ask))
         )
 
 
@@ -65,7 +65,7 @@ def put(uploader, *numbers):
 
 
 def waiting(path):
-    with closing(Outbox(path, limit_bytes=LIMIT)) as outbox:
+    with closing(Outbox(path, vehicle="car", limit_bytes=LIMIT)) as outbox:
         return outbox.pending(1000)
 
 
