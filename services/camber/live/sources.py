@@ -118,7 +118,7 @@ class BusSource(ListeningSource):
         received = inbox.open(sample.data, None)
         if received is None:
             return
-        message = inbox.accept(received, time.time_ns(), judge_age=False)
+        message = inbox.accept(received, time.time_ns(), judge_age=False, arrival=sample.arrival)
         if message is not None:
             self._rows.add(sample.channel, message)
 

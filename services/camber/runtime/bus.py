@@ -20,6 +20,7 @@ from camber.runtime.clock import Clock, SystemClock
 from camber.runtime.health.issue_log import IssueLog
 from camber.runtime.log import make_logger
 from camber.runtime.settings import ServiceSettings
+from camber.runtime.single_producer import SampleOrigin
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, Channel, outputs_of
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
@@ -64,17 +65,27 @@ class QueryFailed(RuntimeError):  # noqa: N818 (the name says what is the matter
 
 
 class Arrived(NamedTuple):
-    """A message as it came: its bytes, its encoding and its attachment (in lock step a tick or a done)."""
+    """A message as it came: its bytes, its encoding, its attachment (in lock step a tick or a done), its arrival."""
 
     data: bytes
     encoding: str
     attachment: bytes | None
+    arrival: SampleOrigin
+
+
+def arrival_of(sample: zenoh.Sample) -> SampleOrigin:
+    """The session that published a sample, and the time now."""
+    info = sample.source_info
+    return SampleOrigin(None if info is None else str(info.source_id.zid), time.monotonic_ns())
 
 
 def _arrived(sample: zenoh.Sample) -> Arrived:
     attachment = sample.attachment
     return Arrived(
-        sample.payload.to_bytes(), str(sample.encoding), None if attachment is None else attachment.to_bytes()
+        sample.payload.to_bytes(),
+        str(sample.encoding),
+        None if attachment is None else attachment.to_bytes(),
+        arrival_of(sample),
     )
 
 
@@ -172,8 +183,8 @@ class Bus:
         return bool(status.matching)
 
     def send(self, channel: Channel, publisher: zenoh.Publisher, data: bytes) -> None:
-        """Send the bytes of a message."""
-        publisher.put(data)
+        """Send the bytes of a message, and by which session: consumers refuse a second one."""
+        publisher.put(data, source_info=zenoh.SourceInfo(publisher.id, 0))
 
     def ask(self, name: str, request: Message) -> Any:
         """Ask over a query channel and return the reply.

@@ -10,20 +10,23 @@ from typing import NamedTuple, Self
 
 import zenoh
 
+from camber.runtime.bus import arrival_of
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
+from camber.runtime.single_producer import SampleOrigin
 from camber.schemas.channels import Channel
 
 LIMIT_BYTES = 256 << 20  # chosen: half a minute of sweeps while the disk hangs
 
 
 class RawSample(NamedTuple):
-    """One message as it came; `arrival_ns` is this machine's clock, Unix nanoseconds."""
+    """One message as it came; `arrival_ns` is this machine's clock, Unix nanoseconds. `arrival`: who published it."""
 
     channel: str
     key: str
     data: bytes
     arrival_ns: int
+    arrival: SampleOrigin | None = None
 
 
 class RawSubscription:
@@ -74,7 +77,9 @@ class RawSubscription:
                     self.dropped[name] += 1
                     return
                 self._bytes += len(data)
-                self._items.append(RawSample(name, str(sample.key_expr), data, time.time_ns()))
+                self._items.append(
+                    RawSample(name, str(sample.key_expr), data, time.time_ns(), arrival=arrival_of(sample))
+                )
 
         # In the thread that receives: it only queues.
         callback = zenoh.handlers.Callback(arrived, indirect=False)

@@ -125,7 +125,9 @@ class Loop:
         item = self.bus.pop(name)
         inbox = self._inboxes[name]
         received = inbox.open(item.data, item.encoding) if item else None
-        message = inbox.accept(received, self._clock.now_ns()) if received else None
+        message = None
+        if item and received:
+            message = inbox.accept(received, self._clock.now_ns(), arrival=item.arrival)
         if message is not None:
             self._guard(self._handlers[name], message)
             return True
@@ -137,7 +139,11 @@ class Loop:
         """Report what an inbox did not hand out."""
         for reason, n in inbox.refused.items():
             self.bus.counters[f"{inbox.channel.name}.{reason}"] = n
-        self.bus.issue("refused_input", f"{inbox.channel.name}: {inbox.last_detail}")
+        text = f"{inbox.channel.name}: {inbox.last_detail}"
+        if inbox.last_reason == "two_producers":
+            self.bus.issue("two_producers", text)
+        else:
+            self.bus.issue("refused_input", text)
 
     def answer(self, name: str) -> None:
         """Answer all questions waiting on a channel; whatever happens, each query is closed."""

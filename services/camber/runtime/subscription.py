@@ -15,15 +15,17 @@ from typing import Any
 
 import zenoh
 
+from camber.runtime.bus import arrival_of
 from camber.runtime.clock import SystemClock
 from camber.runtime.inbox import Inbox
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
+from camber.runtime.single_producer import SampleOrigin
 from camber.schemas.channels import BY_NAME, Channel
 
 _LIMIT = 4096  # messages waiting for a consumer; then the oldest goes
 
-Sample = tuple[str, bytes, str]
+Sample = tuple[str, bytes, str, SampleOrigin]
 
 
 class Subscription:
@@ -68,14 +70,19 @@ class Subscription:
         while True:
             left_s = None if deadline is None else deadline - time.monotonic()
             try:
-                name, data, encoding = self._waiting.get(left_s is None or left_s > 0.0, left_s)
+                name, data, encoding, arrival = self._waiting.get(left_s is None or left_s > 0.0, left_s)
             except queue.Empty:
                 return None
             inbox = self._inboxes[name]
             received = inbox.open(data, encoding)
             if received is None:
                 continue
-            message = inbox.accept(received, self._clock.now_ns(), judge_age=self._live)
+            message = inbox.accept(
+                received,
+                self._clock.now_ns(),
+                judge_age=self._live,
+                arrival=arrival if self._live else None,
+            )
             if message is not None:
                 return message
 
@@ -89,7 +96,7 @@ class Subscription:
 
     def _subscribe(self, channel: Channel, vehicle: str) -> zenoh.Subscriber[Any]:
         def arrived(sample: zenoh.Sample) -> None:
-            item = (channel.name, sample.payload.to_bytes(), str(sample.encoding))
+            item = (channel.name, sample.payload.to_bytes(), str(sample.encoding), arrival_of(sample))
             while True:
                 try:
                     self._waiting.put_nowait(item)

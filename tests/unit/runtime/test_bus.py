@@ -135,12 +135,13 @@ def test_status_is_set_by_the_service_and_a_fault_is_failing() -> None:
     assert [issue.code for issue in failed.issues] == ["internal_error"]
 
 
-def test_what_went_over_a_channel_is_counted_with_its_age() -> None:
+def test_what_went_over_a_channel_is_counted_with_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
     wire = SimpleNamespace(
-        declare_publisher=lambda *_, **__: SimpleNamespace(put=lambda _: None),
+        declare_publisher=lambda *_, **__: SimpleNamespace(),
         declare_subscriber=lambda *_: SimpleNamespace(undeclare=lambda: None),
     )
     bus = make_bus(wire)
+    monkeypatch.setattr(bus, "send", lambda *_: None)
     bus.subscribe(BY_NAME["motion"])
     for _ in range(3):
         bus.publish("fix", HealthRequest(time_ns=10**18))
@@ -194,7 +195,7 @@ class Subscribing:
 
 def arriving(data: bytes, encoding: str) -> Any:
     payload = SimpleNamespace(to_bytes=lambda: data)
-    return SimpleNamespace(payload=payload, encoding=encoding, attachment=None)
+    return SimpleNamespace(payload=payload, encoding=encoding, attachment=None, source_info=None)
 
 
 @pytest.mark.parametrize("size", [0, 3, 200_000])

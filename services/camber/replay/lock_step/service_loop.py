@@ -153,7 +153,7 @@ class LockStepLoop(Loop):
             self.bus.issue("refused_input", f"{name}: {error}")
 
     def _add_to_barrier(self, name: str, item: Arrived) -> None:
-        data, encoding, attachment = item
+        data, encoding, attachment, _ = item
         if name == "tick":
             if self._barrier.add_tick(decode(Tick, data, encoding).message):
                 for done in self._kept_dones:
