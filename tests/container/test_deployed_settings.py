@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import importlib
 import os
 import re
+import shutil
 import subprocess
+import tempfile
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from camber.runtime.session import router_endpoints
 from camber.runtime.settings import load
 from camber.schemas.channels import SENSORS, SERVICES, VEHICLE_SERVICES
 from camber.schemas.drive import load_manifest
+from support.release_world import write_signing_keys
 from support.running import camber, python
 from support.tree import ROOT
 
@@ -30,9 +35,23 @@ of_each_file = pytest.mark.parametrize(
 )
 
 
+@functools.cache
+def public_key() -> Path:
+    """A key of map releases, as an operator installs it."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    return write_signing_keys(folder, folder)[1]
+
+
+def key_options(path: Path) -> list[str]:
+    """The key that a vehicle's map server does not start without."""
+    return ["--public-key", str(public_key())] if path.match("vehicle/map_server.toml") else []
+
+
 def settings_of(folder: str, service: str) -> Any:
     cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
-    return load(cls, ["--config", str(CONFIG / folder / f"{service}.toml")], prog="test")[0]
+    path = CONFIG / folder / f"{service}.toml"
+    return load(cls, ["--config", str(path), *key_options(path)], prog="test")[0]
 
 
 @pytest.mark.parametrize(("folder", "service"), EACH)
@@ -45,7 +64,7 @@ def test_each_service_takes_its_settings_and_joins_the_router(folder: str, servi
 
 @of_each_file
 def test_the_commands_find_every_file_right(path: Path) -> None:
-    done = camber(path.stem, "--config", path, "--check")
+    done = camber(path.stem, "--config", path, "--check", *key_options(path))
     assert (done.returncode, done.stderr) == (0, f"camber {path.stem}: settings are right\n")
 
 
@@ -93,6 +112,14 @@ def test_what_must_survive_is_on_a_volume(folder: str, service: str) -> None:
 
 def test_the_map_of_a_vehicle_survives_too() -> None:
     assert settings_of("vehicle", "map_server").store.parent == Path("/var/lib/camber/state")
+
+
+def test_a_vehicle_takes_only_signed_releases_that_are_not_too_old() -> None:
+    path = CONFIG / "vehicle" / "map_server.toml"
+    done = camber("map_server", "--config", path, "--check")
+    assert done.returncode == 2
+    assert "public_key: /etc/camber/release.pub: public key, expected an Ed25519 key" in done.stderr
+    assert settings_of("vehicle", "map_server").max_age_days == 400.0
 
 
 def test_a_vehicle_that_was_not_measured_confirms_nothing() -> None:

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import Release, ReleaseError, ReleaseTile, decode_tile
 from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissingError
 from camber.road_map.release_server import ReleaseServer
+from camber.road_map.signing_keys import TrustedKey
 from camber.road_map.store import MapStore, StoredRelease
 from camber.road_map.tile_grid import TILES, Tile, tile_of, tiles_around
 from camber.schemas.base import EARLIEST_NS
@@ -81,7 +81,7 @@ class ReleaseDownload:
         store: MapStore,
         *,
         region: str | None,
-        public_key: Ed25519PublicKey | None,
+        public_key: TrustedKey | None,
         around_m: float | None,
         now_ns: Callable[[], int],
         acceptable: Callable[[Release], None] = lambda release: None,

@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.download_thread import DownloadThread
 from camber.map_server.links import unknown_links
@@ -17,11 +15,14 @@ from camber.map_server.release_download import FolderSupplier, ReleaseDownload, 
 from camber.map_server.release_queries import ReleaseQueries, unknown_tile
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.warm_up import FUNCTIONS, warm_up
-from camber.road_map.release import BlobMissingError, Release, ReleaseError, load_public_key
+from camber.road_map.release import BlobMissingError, Release, ReleaseError
+from camber.road_map.release_order import AcceptedRelease, check_order
 from camber.road_map.release_watch import ReleaseWatch
+from camber.road_map.signing_keys import TrustedKey
 from camber.road_map.store import MapStore
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
+from camber.runtime.state_file import StateFile
 from camber.schemas.base import Message
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest, ReleaseHead
@@ -31,6 +32,7 @@ from camber.schemas.road import (
     ElevationRequest,
     LinksReply,
     LinksRequest,
+    ReleaseRoot,
     TileReply,
     TileRequest,
 )
@@ -60,17 +62,19 @@ class MapServerService(Service[MapServerSettings]):
 
     @classmethod
     def state_folder(cls, settings: MapServerSettings) -> Path | None:
-        """The folder of the store."""
-        return None if settings.store is None else settings.store.parent
+        """The folder of the store, or of the state without one."""
+        return settings.state_dir if settings.store is None else settings.store.parent
 
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        key = None if settings.public_key is None else load_public_key(settings.public_key)
+        key = settings.trusted_key(bus.now_ns)
+        self._accepted_file = StateFile("release", settings=settings, bus=bus)
+        self._accepted = self._accepted_file.load(AcceptedRelease.model_validate_json)
         self._store: MapStore | None = None if settings.store is None else self._open_store(settings.store)
         # Without a usable store the folder `release` is served, if there is one.
         source = self._store or settings.release or settings.store
         assert source is not None, "the settings have seen to it"
-        self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_datum)
+        self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_release)
         self._queries: ReleaseQueries | None = None
         self._unreadable = False
         self._counted: Counter[str] = Counter()
@@ -182,7 +186,7 @@ class MapServerService(Service[MapServerSettings]):
             self.bus.issue("store_damaged", store.notice)
         return store
 
-    def _start_download(self, path: Path, key: Ed25519PublicKey | None) -> None:
+    def _start_download(self, path: Path, key: TrustedKey | None) -> None:
         """Start the thread, with a connection of its own to the store."""
         settings, bus = self.settings, self.bus
         store = self._open_store(path)
@@ -266,9 +270,33 @@ class MapServerService(Service[MapServerSettings]):
         self._unreadable = False
         if self._download is not None:
             self._download.in_use = manifest.map_version
+        if self._store is None:
+            self._keep_accepted(release.root)
         self.bus.count("release.loaded")
         if manifest.surrogate:
             self.bus.issue("surrogate_map", manifest.surrogate)
+
+    def _keep_accepted(self, root: ReleaseRoot) -> None:
+        before = self._accepted
+        self._accepted = AcceptedRelease(
+            region=root.region, map_version=root.map_version, manifest_sha256=root.manifest_sha256
+        )
+        if self._accepted != before and self._accepted_file.path is not None:
+            self._accepted_file.save(self._accepted.model_dump_json())
+
+    def _check_release(self, release: Release) -> None:
+        self._check_datum(release)
+        if self._store is not None:
+            return  # has checked it, and knows what an operator went back to
+        root, before = release.root, self._accepted
+        same = before is not None and before.map_version == root.map_version
+        check_order(
+            root,
+            release.source.name(None),
+            region=self.settings.region or (before.region if before else None),
+            highest=before.map_version if before else None,
+            manifest_sha256=before.manifest_sha256 if before and same else None,
+        )
 
     def _check_datum(self, release: Release) -> None:
         if release.manifest.datum != self.settings.datum:

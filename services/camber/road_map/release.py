@@ -17,8 +17,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, cast
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
 from camber.road_map.release_files import (
     MAX_BLOB_BYTES,
     ROOT_NAME,
@@ -30,7 +28,13 @@ from camber.road_map.release_files import (
 from camber.road_map.release_writer import write_release
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
-from camber.road_map.signing_keys import check_signature, key_id, load_public_key, load_signing_key
+from camber.road_map.signing_keys import (
+    TrustedKey,
+    check_signature,
+    key_id,
+    load_public_key,
+    load_signing_key,
+)
 from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import TILES, Tile
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
@@ -141,7 +145,7 @@ def decode_tile(layer: Layer, data: bytes, *, file: str, tile: Tile) -> AnyTile:
     return decoded_tile
 
 
-def open_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
+def open_release(source: Path | BlobSource, *, public_key: TrustedKey | None = None) -> Release:
     """Open the release in a folder or store; verifies root and manifest, and each tile when it is read.
 
     With `public_key` a release that is unsigned or signed with another key is refused. Raises ReleaseError only.
@@ -165,7 +169,7 @@ def release_of(source: BlobSource, root: ReleaseRoot, file: str) -> Release:
     return Release(source=source, root=root, manifest=manifest, _rows=_rows_of(manifest, manifest_file))
 
 
-def read_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
+def read_release(source: Path | BlobSource, *, public_key: TrustedKey | None = None) -> Release:
     """Open a release and verify every tile."""
     release = open_release(source, public_key=public_key)
     for _ in release.check():

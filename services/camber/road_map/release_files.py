@@ -102,7 +102,7 @@ def read_file(path: Path, limit: int) -> bytes:
         return read_plain_file(path, limit)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        expected = f"a readable plain file of at most {limit} bytes ({reason})"
+        expected = f"a plain, readable file of at most {limit} bytes ({reason})"
         raise ReleaseError(str(path), "file", expected) from None
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
 from camber.road_map.release import BlobSource, Release, ReleaseError, ReleaseFolder, open_release
+from camber.road_map.signing_keys import TrustedKey
 
 
 class ReleaseWatch:
@@ -21,7 +20,7 @@ class ReleaseWatch:
         self,
         source: Path | BlobSource,
         *,
-        public_key: Ed25519PublicKey | None = None,
+        public_key: TrustedKey | None = None,
         acceptable: Callable[[Release], None] = lambda release: None,
     ) -> None:
         self.current: Release | None = None

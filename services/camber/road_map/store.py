@@ -21,12 +21,11 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-
 from camber.road_map.release import Release, release_of
 from camber.road_map.release_files import BlobMissingError, decoded, verified
+from camber.road_map.release_order import check_order
 from camber.road_map.road_columns import ReleaseError
-from camber.road_map.signing_keys import check_signature
+from camber.road_map.signing_keys import TrustedKey, check_signature
 from camber.schemas.plain_file import check_plain_file
 from camber.schemas.road import ReleaseRoot
 
@@ -144,7 +143,7 @@ class MapStore:
         *,
         file: str,
         region: str | None,
-        public_key: Ed25519PublicKey | None,
+        public_key: TrustedKey | None,
         may_be_old: bool = False,
     ) -> bool:
         """Accept a root; True if its release is new and must be downloaded.
@@ -159,17 +158,15 @@ class MapStore:
         if public_key is not None:
             check_signature(root, public_key, file)
         current = self.current()
-        expected = region or (None if current is None else current.region)
-        if expected is not None and root.region != expected:
-            raise ReleaseError(file, "region", expected, actual=root.region)
-        if highest is not None and root.map_version < highest:
-            newest = f"{highest} or more, which has been here already"
-            raise ReleaseError(file, "map_version", newest, actual=str(root.map_version))
         known = self._release(root.map_version)
+        check_order(
+            root,
+            file,
+            region=region or (None if current is None else current.region),
+            highest=highest,
+            manifest_sha256=None if known is None else known.manifest_sha256,
+        )
         if known is not None:
-            if known.manifest_sha256 != root.manifest_sha256:
-                expected = f"the manifest of version {root.map_version} that was accepted before"
-                raise ReleaseError(file, "manifest_sha256", expected, actual=root.manifest_sha256)
             return False
         with self._writing() as db:
             db.execute("DELETE FROM release WHERE state = 'coming'")

@@ -195,6 +195,30 @@ def test_a_new_release_is_verified_while_the_old_one_answers(tmp_path: Path) -> 
     assert server.service.healthy()
 
 
+@pytest.mark.parametrize(
+    ("changed", "field"),
+    [
+        ({"map_version": 3}, "map_version"),
+        ({"map_version": 9, "region": "elsewhere"}, "region"),
+        ({"map_version": 7}, "manifest_sha256"),
+    ],
+)
+def test_no_older_release_and_none_of_another_region_takes_the_place_of_one(
+    changed: dict[str, Any], field: str, tmp_path: Path
+) -> None:
+    state = tmp_path / "state"
+    server = served(tmp_path / "map", state_dir=state)
+    write(tmp_path / "map", [surface(5, heights_m=51.0)], **changed)
+    server.wait(3.0)
+    assert server.road().elevation_m == 50.0
+    assert field in server.bus.text("release_refused")
+    again = Server(tmp_path / "map", state_dir=state)
+    again.assert_unknown("map_missing")
+    assert field in again.bus.text("release_refused")
+    (state / "release.json").unlink()
+    assert Server(tmp_path / "map", state_dir=state).road().elevation_m == 51.0
+
+
 def test_an_invalid_new_release_leaves_the_old_one_and_is_retried(tmp_path: Path) -> None:
     server = served(tmp_path)
     before = set(tmp_path.rglob("*"))

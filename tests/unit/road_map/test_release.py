@@ -276,11 +276,11 @@ def test_missing_files_folders_and_pipes_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ReleaseError, match="readable file"):
             read_release(tmp_path)
         path.mkdir()
-        with pytest.raises(ReleaseError, match="plain file"):
+        with pytest.raises(ReleaseError, match="not a plain file"):
             read_release(tmp_path)
         path.rmdir()
         os.mkfifo(path)
-        with pytest.raises(ReleaseError, match="plain file"):
+        with pytest.raises(ReleaseError, match="not a plain file"):
             read_release(tmp_path)
         path.unlink()
         path.write_bytes(good)

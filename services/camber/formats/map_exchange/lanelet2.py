@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.mgrs import geodetic_from_mgrs
+from camber.formats.map_exchange.xml_doctype import refuse_doctype
 
 Floats = NDArray[np.float64]
 
@@ -138,8 +139,7 @@ class _OsmElement:
 
 def _elements(data: bytes, file: str) -> Iterator[_OsmElement]:
     """Yield nodes, ways and relations. Documents that define entities are refused."""
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise FormatError(file, "XML", "a document without a DOCTYPE")
+    refuse_doctype(data, file)
     root = None
     try:
         for event, element in ElementTree.iterparse(io.BytesIO(data), ("start", "end")):

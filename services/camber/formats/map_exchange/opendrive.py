@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
+from camber.formats.map_exchange.xml_doctype import refuse_doctype
 
 Floats = NDArray[np.float64]
 
@@ -155,8 +156,7 @@ def read_opendrive(path: Path, *, strict: bool = True) -> OpenDrive:
 
 def opendrive_map(data: bytes, file: str, *, strict: bool = True) -> OpenDrive:
     """Parse the bytes of a file; as `read_opendrive`."""
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise FormatError(file, "XML", "a document without a DOCTYPE")
+    refuse_doctype(data, file)
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:

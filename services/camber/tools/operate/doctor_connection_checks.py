@@ -13,7 +13,7 @@ from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.road_map.release import ReleaseError, load_public_key, load_signing_key, open_release
+from camber.road_map.release import ReleaseError, load_signing_key, open_release
 from camber.runtime.access_probe import can_publish, denial_message
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryClient
@@ -124,7 +124,7 @@ def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
         yield not_checked("map", text)
         return
     try:
-        key = None if settings.public_key is None else load_public_key(settings.public_key)
+        key = settings.trusted_key(SystemClock().now_ns)
         release = open_release(settings.release, public_key=key)
     except ReleaseError as error:
         yield problem(

@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber.formats.nmea.writer import format_gga, format_rmc
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.map_server.settings import MapServerSettings
 from camber.runtime.clock import SystemClock
 from camber.runtime.health.metrics import HealthCollector, MetricsServer
 from camber.runtime.session import open_session
@@ -187,9 +188,7 @@ def test_the_certificate_that_a_router_s_file_names_is_checked(
 
 
 def map_settings(folder: Path, **more: Any) -> Any:
-    names = ("store", "public_key", "max_age_days")
-    fields = {"release": folder, "datum": "WGS84", "unsigned": False, **dict.fromkeys(names)}
-    return SimpleNamespace(**(fields | more))
+    return MapServerSettings(**{"release": folder, **more})
 
 
 def test_a_map_of_another_datum_or_too_old_is_a_problem(tmp_path: Path) -> None:
