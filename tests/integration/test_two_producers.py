@@ -11,13 +11,15 @@ from typing import Any
 
 import pytest
 
+from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.session import open_session
 from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import encode, encoding_of
 from camber.schemas.integrity import Verdict
 from camber.schemas.motion import Motion
-from camber.schemas.pose import Pose
+from camber.schemas.pose import Pose, Road
+from camber.schemas.road import ElevationReply, ElevationRequest
 from support.judging import ROAD_M, SPEED_M_S, antenna, fix, pose, road
 from support.running import (
     CLOCK,
@@ -197,3 +199,49 @@ def test_two_judges_are_named_by_who_reads_verdicts_and_neither_is_used(
             while time.monotonic() < end_s:
                 assert consumer.next(0.05) is None
         wait_until(lambda: consumer.next(0.05), timeout_s=10.0, why="the remaining judge is not used")
+
+
+def test_two_that_answer_are_named_and_neither_is_used(endpoint: str) -> None:
+    buses = [bus_of(endpoint, name) for name in ("localizer", "map_server", "map_server")]
+    asker, *answerers = buses
+    ended = threading.Event()
+
+    def answer(bus: Bus) -> None:
+        while not ended.is_set():
+            bus.next_event(0.02)
+            for query in bus.pop_queries("elevation"):
+                with query:
+                    unknown = Road(status="unknown", reason="map_missing")
+                    bus.reply(query, ElevationReply(time_ns=CLOCK.now_ns(), road=unknown))
+
+    def ask() -> str:
+        place = {"latitude_rad": 0.6, "longitude_rad": 2.4}
+        try:
+            asker.ask("elevation", ElevationRequest(time_ns=CLOCK.now_ns(), **place))
+        except QueryFailed as error:
+            return error.reason
+        return "answered"
+
+    with ExitStack() as stack:
+        stack.callback(lambda: [bus.close() for bus in buses])
+        stack.callback(ended.set)
+        asker.announce()
+        for bus in answerers:
+            bus.announce()
+        answerers[0].answer(BY_NAME["elevation"])
+        threading.Thread(target=answer, args=(answerers[0],), daemon=True).start()
+        wait_until(lambda: ask() == "answered", timeout_s=10.0, why="no answer")
+        assert "refused" not in {ask() for _ in range(10)}
+        answerers[1].answer(BY_NAME["elevation"])
+        threading.Thread(target=answer, args=(answerers[1],), daemon=True).start()
+        began_s = time.monotonic()
+        while not any(issue.code == "two_producers" for issue in asker.issues()):
+            ask()
+            time.sleep(0.05)
+            assert time.monotonic() - began_s < NAMED_WITHIN_S
+        outcomes = set()
+        for _ in range(20):
+            outcomes.add(ask())
+            time.sleep(0.05)
+        assert "refused" in outcomes
+        assert "answered" not in outcomes

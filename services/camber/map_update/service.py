@@ -33,6 +33,7 @@ from camber.runtime.settings import ServiceSettings
 from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.base import EARLIEST_NS, Message
 from camber.schemas.fleet import MapChanges, MapChangesRequest, UploadReceipt
+from camber.schemas.plain_file import read_plain_file
 
 if TYPE_CHECKING:
     from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
@@ -46,6 +47,7 @@ _FORGET_NS = 60 * 1_000_000_000
 _RESTART_NS = 60 * 1_000_000_000
 _FORGET_ROWS = 1000
 """Chosen: rows deleted at a time, because uploads wait meanwhile."""
+_MOST_KEY_BYTES = 1 << 10  # chosen: far more than a key has
 _VOTERS_KEY_BYTES = 32
 """Length of a new key of pseudonyms: 256 bits."""
 UNAVAILABLE_ISSUES = {
@@ -357,7 +359,7 @@ def _voters_key(path: Path | None, default: Path) -> bytes:
             with suppress(FileExistsError):  # another worker was first: its key is used
                 os.link(temporary, default)
             temporary.unlink()
-        return check_secret((path or default).read_bytes())
+        return check_secret(read_plain_file(path or default, _MOST_KEY_BYTES))
     except (OSError, ValueError) as error:
         raise ReleaseError(
             str(path or default), "voters' key", f"a file of 16 to 64 bytes ({error})"

@@ -23,9 +23,11 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key, l
 
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.road_map.road_columns import ReleaseError
+from camber.schemas.plain_file import read_plain_file
 from camber.schemas.road import ReleaseRoot, signed_bytes
 
 _GPS_EPOCH = date(1980, 1, 6)
+_MOST_BYTES = 1 << 16  # chosen: a key in PEM has some hundred bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +85,7 @@ def load_signing_key(path: Path) -> Ed25519PrivateKey:
 def _load(path: Path, field: str, load: Callable[[bytes], object], cls: Any) -> Any:
     cause = ""
     try:
-        key = load(path.read_bytes())
+        key = load(read_plain_file(path, _MOST_BYTES))
         if isinstance(key, cls):
             return key
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:

@@ -10,7 +10,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
@@ -20,7 +20,7 @@ from camber.runtime.clock import Clock, SystemClock
 from camber.runtime.health.issue_log import IssueLog
 from camber.runtime.log import make_logger
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.single_producer import SampleOrigin
+from camber.runtime.single_producer import SampleOrigin, SingleProducer
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, Channel, outputs_of
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
@@ -89,6 +89,18 @@ def _arrived(sample: zenoh.Sample) -> Arrived:
     )
 
 
+def _queued_replies(replies: Any) -> Iterator[Any]:
+    """Replies that have come since the first one was taken."""
+    while replies is not None:
+        try:
+            reply = replies.try_recv()
+        except zenoh.ZError:  # there will be no more
+            return
+        if reply is None:
+            return
+        yield reply
+
+
 def _can_be_read(channel: Channel, item: Arrived) -> bool:
     try:
         decode(channel.message, item.data, item.encoding)
@@ -131,6 +143,8 @@ class Bus:
         self._blocking = self.LOSSLESS
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._queriers: dict[str, zenoh.Querier] = {}
+        self._answerers: dict[str, SingleProducer] = {}
+        self._replies: dict[str, Any] = {}  # to the last question on each channel
         self._entities: list[Any] = []
         self._ports: dict[str, _InputQueue] = {}
         self._queries: dict[str, deque[zenoh.Query]] = {}
@@ -189,27 +203,35 @@ class Bus:
     def ask(self, name: str, request: Message) -> Any:
         """Ask over a query channel and return the reply.
 
-        Raises QueryFailed: at once when nobody is there to answer, and after the channel's oldest age otherwise.
+        Raises QueryFailed: at once when nobody is there to answer, after the channel's oldest age otherwise, and while
+        two sessions answer.
         """
         channel = BY_NAME[name]
         assert channel.reply is not None
         if not any(self.is_alive(peer) for peer in channel.consumers):
             raise QueryFailed("absent", f"none of {', '.join(channel.consumers)} is on the bus")
         data = encode(request, source=self.service)
-        payload, encoding = self.ask_bytes(name, data)
+        replies, answer = self._first_answer(channel, data)
+        if not self.LOSSLESS:
+            self._check_answerer(channel, replies, answer)
         try:
-            return decode(channel.reply, payload, encoding).message
+            return decode(channel.reply, answer.ok.payload.to_bytes(), str(answer.ok.encoding)).message
         except DecodeError as error:
             raise QueryFailed("invalid", str(error)) from None
 
     def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
         """`ask` with a request that is encoded already: for an outbox, also from its own thread."""
-        channel = BY_NAME[name]
-        querier = self._queriers.get(name) or self._declare_querier(channel)
+        answer = self._first_answer(BY_NAME[name], data)[1].ok
+        return answer.payload.to_bytes(), str(answer.encoding)
+
+    def _first_answer(self, channel: Channel, data: bytes) -> tuple[Any, Any]:
+        """The replies, of which more may come, and the first that is no error."""
+        querier = self._queriers.get(channel.name) or self._declare_querier(channel)
         detail, asked_s = "", time.monotonic()
-        for reply in querier.get(payload=data, encoding=encoding_of(channel.message)):
+        replies: Any = querier.get(payload=data, encoding=encoding_of(channel.message))
+        for reply in replies:
             if reply.ok is not None:
-                return reply.ok.payload.to_bytes(), str(reply.ok.encoding)
+                return replies, reply
             detail = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace") if reply.err else ""
         if not detail and time.monotonic() - asked_s < _AT_ONCE_S:
             # A router that knows of nobody says so at once, and of somebody whom access rules hide from us the same.
@@ -217,6 +239,20 @@ class Bus:
         # Zenoh ends the wait of an unanswered query with an error reply that says so, or with no reply at all.
         timed_out = not detail or "timeout" in detail.lower()
         raise QueryFailed("timeout" if timed_out else "refused", detail)
+
+    def _check_answerer(self, channel: Channel, replies: Any, answer: Any) -> None:
+        """Raise QueryFailed while two sessions answer, also where the other one's last reply came after the first."""
+        name = channel.name
+        answerers = self._answerers.setdefault(name, SingleProducer(rate_hz=None))
+        for late in (*_queued_replies(self._replies.pop(name, None)), answer):
+            replier = late.replier_id
+            origin = SampleOrigin(None if replier is None else str(replier.zid), time.monotonic_ns())
+            problem = answerers.problem("the answerer", 0, origin)
+        self._replies[name] = replies
+        if problem == "two_producers":
+            self.issue("two_producers", f"{name}: {answerers}; expected one")
+        if problem is not None:
+            raise QueryFailed("refused", f"{answerers}; expected one")
 
     def is_alive(self, service: str) -> bool:
         """Is this service on the bus, by its liveliness token?"""
@@ -413,6 +449,8 @@ class Bus:
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=_PRIORITY[channel.delivery],
             express=True,
+            # By default a router chooses one of several that answer, and nobody would know that there are several.
+            target=zenoh.QueryTarget.ALL if channel.delivery == "query" else zenoh.QueryTarget.BEST_MATCHING,
         )
         self._queriers[channel.name] = querier
         return querier

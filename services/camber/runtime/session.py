@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from camber.schemas.plain_file import check_plain_file
+
 if TYPE_CHECKING:  # what only probes need not read all that settings are made with
     from camber.runtime.settings import ZenohSettings
 
@@ -168,6 +170,10 @@ def _check_tls(config: zenoh.Config) -> None:
 def _base(config_file: Path | None) -> zenoh.Config:
     if config_file is None:
         return zenoh.Config()
+    try:
+        check_plain_file(config_file)
+    except OSError as error:
+        raise BusError(f"{config_file}: {error.strerror}") from None
     try:
         return zenoh.Config.from_file(str(config_file))
     except zenoh.ZError as error:

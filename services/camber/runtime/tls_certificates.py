@@ -11,6 +11,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import NameOID
 
+from camber.schemas.plain_file import read_plain_file
+
+_MOST_BYTES = 1 << 20  # chosen: a bundle of authorities has some 200 kB
 _GENERATION = re.compile(r"\+\d+$")
 RENEW_BEFORE = timedelta(days=14)
 """So long before its end a certificate is to be renewed: warnings are given from then on."""
@@ -96,7 +99,7 @@ def name_of(common_name: str) -> str:
 
 def _read(path: Path, reader: Any, *, secret: bool) -> Any:
     try:
-        return reader(path.read_bytes())
+        return reader(read_plain_file(path, _MOST_BYTES))
     except OSError as error:
         raise TlsError(f"{path}: {error.strerror}") from None
     except (ValueError, TypeError):

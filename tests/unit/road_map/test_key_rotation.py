@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import date
 from pathlib import Path
 
@@ -76,3 +77,11 @@ def test_keys_without_an_overlap_are_refused(tmp_path: Path) -> None:
         MapServerSettings(**table | {"next_public_key_first_day": date(2027, 7, 1)})
     with pytest.raises(ValidationError, match="next_public_key: expected public_key, too"):
         MapServerSettings(**table | {"public_key": None})
+
+
+def test_a_pipe_in_the_place_of_a_key_is_one_line(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "key.pub")
+    with pytest.raises(
+        ValidationError, match=r"key\.pub: public key, expected an Ed25519 key in PEM .*not a plain file"
+    ):
+        MapServerSettings(release=tmp_path / "map", public_key=tmp_path / "key.pub")

@@ -25,6 +25,7 @@ from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.fusion.publication_decision import DECISIONS, REASONS, Decisions
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
+from camber.schemas.plain_file import read_plain_file
 
 ReviewAction = Literal["accept", "reject"]
 
@@ -32,6 +33,7 @@ ReviewAction = Literal["accept", "reject"]
 _SAME_M = 0.01
 _SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
+_MOST_BYTES = 64 << 20  # chosen: a quarter of a million decisions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,7 @@ class ReviewFolder:
     def held(self) -> list[HeldChange]:
         """Return the changes held now, by surface."""
         try:
-            return [HeldChange(**row) for row in json.loads(self._held.read_text("utf-8"))]
+            return [HeldChange(**row) for row in json.loads(read_plain_file(self._held, _MOST_BYTES))]
         except FileNotFoundError:
             return []
         except (ValueError, TypeError, UnicodeDecodeError) as error:
@@ -93,7 +95,7 @@ class ReviewFolder:
     def decisions(self) -> list[ReviewDecision]:
         """Return all decisions in order; an incomplete last line is ignored."""
         try:
-            lines = self._decisions.read_bytes().split(b"\n")
+            lines = read_plain_file(self._decisions, _MOST_BYTES).split(b"\n")
         except FileNotFoundError:
             return []
         try:
