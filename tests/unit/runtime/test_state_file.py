@@ -20,11 +20,12 @@ from camber.gnss.observations.base_offset import BaseOffset
 from camber.integrity.learning.height_correction import Correction, CorrectionState, Learning, LearningRules
 from camber.integrity.learning.saved_state import from_text, to_text
 from camber.localizer.given_pose import GivenPose
+from camber.road_map.release_order import AcceptedRelease
 from support.engine_drives import base_ecef_m
 from support.fake_bus import NOW_NS, FakeBus
 from support.state_files import content_of, state_file, write_state
 
-NAMES = ("correction", "differences", "bases", "given_pose")
+NAMES = ("correction", "differences", "bases", "given_pose", "release")
 VEHICLE = AntennaHeightSettings(fixed_height_m=1.58).options().vehicle
 
 
@@ -43,6 +44,8 @@ def _content(name: str) -> str:
         memory, right = BaseMemory(), BaseOffset(enu_m=(0.4, -0.3, 1.0), sigma_m=(1.0, 1.1, 4.9), chi2=0.3)
         memory.remember("mount", "rtcm-7", np.asarray(base_ecef_m()), time_ns=NOW_NS, offset=right)
         return memory_as_text(memory.bases)
+    if name == "release":
+        return AcceptedRelease(region="nagoya", map_version=9, manifest_sha256="0" * 64).model_dump_json()
     given = GivenPose(
         latitude_deg=35.1, longitude_deg=136.9, yaw_deg=12.0, horizontal_sigma_m=0.3, yaw_sigma_deg=2.0
     )
@@ -54,6 +57,7 @@ PARSERS: dict[str, Callable[[str], Any]] = {
     "differences": lambda text: references_from_text(text, VEHICLE),
     "bases": memory_from_text,
     "given_pose": GivenPose.model_validate_json,
+    "release": AcceptedRelease.model_validate_json,
 }
 
 
@@ -139,6 +143,7 @@ def test_a_file_of_a_later_format_is_rejected(tmp_path: Path) -> None:
         ("bases", '"sigma_m":[1.0', '"sigma_m":[0.0', "bases.0.days.0.sigma_m"),
         ("given_pose", '"latitude_deg":35.1', '"latitude_deg":95.1', "latitude_deg"),
         ("given_pose", "{", "[", "content"),
+        ("release", '"map_version":9', '"map_version":-9', "map_version"),
     ],
 )
 def test_values_out_of_their_bounds_are_rejected_though_the_checksum_is_right(
