@@ -41,6 +41,11 @@ if __name__ == "__main__":
 """
 
 
+two_processors = pytest.mark.skipif(
+    len(os.sched_getaffinity(0)) < 2, reason="one processor: nothing is compiled in parallel"
+)
+
+
 def run(folder: Path, *command: str, **environment: str) -> str:
     (folder / "work_in_parallel.py").write_text(WORK)
     set_here = {
@@ -59,13 +64,13 @@ def run(folder: Path, *command: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor: nothing is compiled in parallel")
+@two_processors
 def test_a_function_of_the_part_is_compiled_by_the_other_process_and_read_here(tmp_path: Path) -> None:
     assert run(tmp_path) == "4.0 1 1"
     assert (tmp_path / "started").read_text() == "whole\nwork_in_parallel.root\n"
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor: nothing is compiled in parallel")
+@two_processors
 def test_what_the_other_process_fails_to_compile_is_compiled_here(tmp_path: Path) -> None:
     assert run(tmp_path, FAILS="1") == "4.0 2 0"
 

@@ -20,10 +20,9 @@ _DATATYPES = {"f4": 7, "u4": 6}  # PointField.FLOAT32 and UINT32
 
 def point_cloud2_of_livox(message: Any) -> Any:
     """Return the PointCloud2 with the points of a CustomMsg: `reflectivity` is its intensity."""
-    columns = {name: [getattr(point, name) for point in message.points] for name in _FIELDS}
     points = np.zeros(len(message.points), [(name, f"<{kind}") for name, kind in _FIELDS.items()])
-    for name, values in columns.items():
-        points[name] = values
+    for name in _FIELDS:
+        points[name] = [getattr(point, name) for point in message.points]
     names = ("intensity" if name == "reflectivity" else name for name in _FIELDS)
     offsets_and_kinds = zip(names, range(0, points.itemsize, 4), _FIELDS.values(), strict=True)
     return new_message(

@@ -13,7 +13,7 @@ from camber.formats.map_exchange.lanelet2 import ROADS, read_lanelet2
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import RoadLinks, select_links
 from camber.tools.maps.geojson import LineProperties, read_geojson
-from camber.tools.maps.importers.checks.left_out import LeftOutLanes
+from camber.tools.maps.importers.checks.left_out import left_out_lanes
 from camber.tools.maps.importers.checks.level_heights import level_sigma_of
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of
@@ -73,7 +73,7 @@ def _lines(args: argparse.Namespace, path: Path) -> tuple[RoadLinks, list[float]
     )
     width_m = [args.width_m if each.width_m is None else each.width_m for each in properties]
     area_m2 = [width * line_length_m(line) for width, line in zip(width_m, links.vertices, strict=True)]
-    left_out = LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
+    left_out = left_out_lanes(args)
     crossed = _crossed(links, roads, properties, str(path))
     for k, other in crossed.items():
         name = f"line {k + 1}"

@@ -22,10 +22,10 @@ from camber.tools.maps.importers.checks.height_check import (
     SourceHeights,
     add_check_arguments,
     checked_heights,
-    links_by_lane,
+    heights_on_lanes,
     seed_of,
 )
-from camber.tools.maps.importers.checks.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.checks.left_out import add_loss_arguments, left_out_lanes
 from camber.tools.maps.importers.checks.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
@@ -46,8 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces and links of the lanelets."""
     file = str(args.file)
-    left_out = LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
-    source = read_lanelet2(args.file, frozenset(args.subtypes.split(",")), strict=args.strict)
+    left_out = left_out_lanes(args)
+    subtypes = frozenset(args.subtypes.split(","))
+    source = read_lanelet2(args.file, subtypes, strict=args.strict)
     for name, error in source.unreadable.items():
         left_out.add(name, error)
     if not source.lanelets:
@@ -61,7 +62,6 @@ def build(args: argparse.Namespace) -> BuiltMap:
         f"{file}: {count} lanelets of subtype {name} not taken" for name, count in source.left_out.items()
     ]
     seed = seed_of(args)
-    subtypes = frozenset(args.subtypes.split(","))
     places = border_places(args.file.read_bytes(), subtypes, PLACES, np.random.default_rng(seed))
     check = checked_heights(surfaces, source_heights(places, lanes, vertical, file), seed=seed, file=file)
     return BuiltMap(
@@ -76,19 +76,13 @@ def source_heights(
     places: Sequence[BorderPlace], lanes: Sequence[Lane], vertical: VerticalDatum, file: str
 ) -> SourceHeights:
     """Places of the file on borders of lanelets that are taken, with ellipsoidal heights."""
-    links = links_by_lane(lanes)
-    places = [place for place in places if place.name in links]
-    at = np.array([(place.latitude_deg, place.longitude_deg, place.height_m) for place in places]).reshape(
-        -1, 3
-    )
-    latitude, longitude = np.radians(at[:, :2]).T
-    return SourceHeights(
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        height_m=vertical.ellipsoidal_m(latitude, longitude, at[:, 2], file),
-        links=[links[place.name] for place in places],
-        names=[f"{place.name}, {place.at}" for place in places],
-    )
+
+    def geodetic(places: Sequence[BorderPlace]) -> tuple[Floats, Floats, Floats]:
+        at = [(place.latitude_deg, place.longitude_deg, place.height_m) for place in places]
+        latitude_deg, longitude_deg, height_m = np.array(at).reshape(-1, 3).T
+        return np.radians(latitude_deg), np.radians(longitude_deg), height_m
+
+    return heights_on_lanes(places, lanes, geodetic, vertical=vertical, file=file)
 
 
 def lanes_of(lanelets: LaneletMap, height_m: Floats) -> tuple[LocalFrame, list[Lane]]:

@@ -31,10 +31,10 @@ from camber.tools.maps.importers.checks.height_check import (
     SourceHeights,
     add_check_arguments,
     checked_heights,
-    links_by_lane,
+    heights_on_lanes,
     seed_of,
 )
-from camber.tools.maps.importers.checks.left_out import LeftOutLanes, add_loss_arguments
+from camber.tools.maps.importers.checks.left_out import LeftOutLanes, add_loss_arguments, left_out_lanes
 from camber.tools.maps.importers.checks.level_heights import add_flat_arguments, flat_surrogate
 from camber.tools.maps.importers.height_options import add_height_arguments, lane_survey, vertical_of
 from camber.tools.maps.importers.lane_map import road_map
@@ -70,7 +70,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces and links of the lanes."""
     file = str(args.file)
     drive = read_opendrive(args.file, strict=args.strict)
-    left_out = LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
+    left_out = left_out_lanes(args)
     text = args.georeference or drive.georeference
     if text is None:
         raise FormatError(file, _GEOREFERENCE, f"a projection, or {GEOREFERENCE_OPTION}", actual="none")
@@ -109,19 +109,15 @@ def source_heights(
     """Places of the file on lanes that are taken, with latitudes and longitudes by PROJ and ellipsoidal heights."""
     import pyproj
 
-    links = links_by_lane(lanes)
-    places = [place for place in places if place.name in links]
     crs = pyproj.CRS(georeference)
     to_geodetic = pyproj.Proj(crs.sub_crs_list[0] if crs.is_compound else crs)
-    at = np.array([(place.x_m, place.y_m, place.z_m) for place in places]).reshape(-1, 3)
-    longitude, latitude = (np.radians(angle) for angle in to_geodetic(at[:, 0], at[:, 1], inverse=True))
-    return SourceHeights(
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        height_m=vertical.ellipsoidal_m(latitude, longitude, at[:, 2], file),
-        links=[links[place.name] for place in places],
-        names=[f"{place.name}, {place.at}" for place in places],
-    )
+
+    def geodetic(places: Sequence[LanePlace]) -> tuple[Floats, Floats, Floats]:
+        at = np.array([(place.x_m, place.y_m, place.z_m) for place in places]).reshape(-1, 3)
+        longitude, latitude = (np.radians(angle) for angle in to_geodetic(at[:, 0], at[:, 1], inverse=True))
+        return latitude, longitude, at[:, 2]
+
+    return heights_on_lanes(places, lanes, geodetic, vertical=vertical, file=file)
 
 
 def lanes_of(

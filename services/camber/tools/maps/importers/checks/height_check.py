@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from camber.formats.errors import FormatError
+from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.road_map.height_interpolation import SurfaceHeights
 from camber.road_map.road_columns import RoadSurfaces
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, named_id
@@ -51,12 +53,47 @@ class SourceHeights:
     names: Sequence[str]
 
 
-def links_by_lane(lanes: Sequence[Lane]) -> Mapping[str, list[int]]:
-    """Ids of the link, or of the links that a lane is cut into, by the lane's name."""
-    return {
+class NamedPlace(Protocol):
+    """A place of a source."""
+
+    @property
+    def name(self) -> str:
+        """The lane, as the import names it."""
+
+    @property
+    def at(self) -> str:
+        """Where on it."""
+
+
+P = TypeVar("P", bound=NamedPlace)
+
+
+def heights_on_lanes(
+    places: Sequence[P],
+    lanes: Sequence[Lane],
+    geodetic: Callable[[Sequence[P]], tuple[Floats, Floats, Floats]],
+    *,
+    vertical: VerticalDatum,
+    file: str,
+) -> SourceHeights:
+    """Return the heights of a source at its places on lanes that are taken.
+
+    `geodetic`: latitudes, longitudes [rad] and heights in the source's datum [m] of places, each (n,).
+    """
+    # A lane may be cut into several links.
+    links = {
         lane.name: [lane.link_id, *(named_id("link", lane.name, k) for k in range(_MOST_CUTS))]
         for lane in lanes
     }
+    taken = [place for place in places if place.name in links]
+    latitude, longitude, height_m = geodetic(taken)
+    return SourceHeights(
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=vertical.ellipsoidal_m(latitude, longitude, height_m, file),
+        links=[links[place.name] for place in taken],
+        names=[f"{place.name}, {place.at}" for place in taken],
+    )
 
 
 def checked_heights(

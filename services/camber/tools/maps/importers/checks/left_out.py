@@ -83,6 +83,11 @@ class LeftOutLanes:
         return [f"{file}: left out: {summary}", *(f"  {lane.name}: {lane.reason}" for lane in self.lanes)]
 
 
+def left_out_lanes(args: argparse.Namespace) -> LeftOutLanes:
+    """Return what collects invalid lanes as `args` say."""
+    return LeftOutLanes(strict=args.strict, most_percent=args.max_loss_percent)
+
+
 def lane_area_m2(sections: Floats) -> float:
     """Return the area of cross-sections (n, k, 3) of a lane: mean widths times steps."""
     width_m = np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T)
