@@ -34,6 +34,7 @@ from camber.runtime.service import Service
 from camber.runtime.state_file import StateFile
 from camber.schemas.base import Message
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
+from camber.schemas.refused_field import first_refused
 from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess
 
@@ -339,9 +340,7 @@ class GnssService(Service[GnssSettings]):
         try:
             message = make()
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            field = ".".join(map(str, first["loc"]))
-            self.bus.issue("implausible_epoch", f"{field}: {first['msg']}")
+            self.bus.issue("implausible_epoch", str(first_refused(error)))
             return None
         if message is not None:
             self.bus.publish(channel, message)

@@ -28,6 +28,7 @@ from camber.formats.errors import FormatError
 from camber.replay.drive_inputs import DriveInputs
 from camber.road_map.release import ReleaseError, open_release
 from camber.schemas.base import Model, Sigma
+from camber.schemas.refused_field import first_refused
 from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of
 
 # All that np.load has raised on files that are no archive of arrays, or a damaged one.
@@ -187,6 +188,5 @@ def _read_json(path: Path, cls: type[F]) -> F:
     except OSError as error:
         raise FormatError(path.name, "file", "a readable file", actual=error.strerror or str(error)) from None
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or "file"
-        raise FormatError(path.name, field, first["msg"]) from None
+        field = first_refused(error, whole="file")
+        raise FormatError(path.name, field.name, field.expected) from None

@@ -13,6 +13,7 @@ from camber.replay.drive_inputs import DriveInputs
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import SERVICES
 from camber.schemas.drive import DriveManifest, ManifestError
+from camber.schemas.refused_field import first_refused
 from camber.tools.localize.localizer_config import localizer_config
 
 S = TypeVar("S", bound=ServiceSettings)
@@ -100,10 +101,8 @@ def validated_settings(service: str, kind: type[S], table: Mapping[str, Any]) ->
     try:
         return kind(**table)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        setting = ".".join(str(part) for part in first["loc"])
-        raise ManifestError(
-            f"{service}: {setting}: {first['msg']} (got {str(first['input'])[:60]!r})"
-        ) from None
+        field = first_refused(error, whole="settings")
+        actual = "" if field.value is None else f" (got {field.value[:60]!r})"
+        raise ManifestError(f"{service}: {field}{actual}") from None
     finally:
         os.environ.update(environment)

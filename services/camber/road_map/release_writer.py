@@ -16,6 +16,7 @@ from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import link_tiles, surface_tiles
 from camber.road_map.signing_keys import signed
 from camber.road_map.tile_checks import tile_defect
+from camber.schemas.refused_field import first_refused
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
 _CLOUD_LAYERS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
@@ -114,8 +115,8 @@ def write_tiles_and_manifest(
             lineage_parent_id=pairs[:, 1].copy(),
         )
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        raise ReleaseError("manifest", ".".join(str(part) for part in first["loc"]), first["msg"]) from None
+        field = first_refused(error)
+        raise ReleaseError("manifest", field.name, field.expected) from None
     head = encoded(manifest, "manifest")
     digest = hashlib.sha256(head).hexdigest()
     root = ReleaseRoot(time_ns=time_ns, region=region, map_version=map_version, manifest_sha256=digest)

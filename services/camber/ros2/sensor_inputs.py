@@ -21,6 +21,7 @@ from camber.geodesy.se3 import roll_pitch_yaw_from_rotation
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME
 from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.refused_field import first_refused
 
 _FUTURE_NS = NS_PER_SECOND // 2  # as consumers judge it (`camber.runtime.inbox`)
 
@@ -48,9 +49,8 @@ class SensorTopic:
         try:
             message = self._converted(content, sensor)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            place = ".".join(map(str, first["loc"]))
-            raise FormatError(self.name, place, first["msg"], actual=str(first["input"])[:40]) from None
+            field = first_refused(error, whole="message")
+            raise FormatError(self.name, field.name, field.expected, actual=field.value) from None
         if message is None:
             self.counts["empty"] += 1
             return None

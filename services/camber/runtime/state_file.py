@@ -23,6 +23,7 @@ from camber.road_map.release_files import write_file
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.plain_file import read_plain_file
+from camber.schemas.refused_field import first_refused
 
 T = TypeVar("T")
 
@@ -82,9 +83,7 @@ class StateFile:
 
 def _one_line(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"])) or "content"
-        return f"{place}: {first['msg']}"
+        return str(first_refused(error))
     return getattr(error, "strerror", None) or str(error)
 
 

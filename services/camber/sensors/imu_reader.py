@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from camber.formats.lidar_can.firings import Float64
 from camber.formats.lidar_can.ouster_imu import OusterImuSample, read_imu_packet
 from camber.schemas.motion import Imu
+from camber.schemas.refused_field import first_refused
 from camber.sensors.sender_filter import SenderFilter
 from camber.sensors.sensor_clock import SensorClock
 
@@ -62,10 +63,7 @@ class ImuReader:
                 specific_force_m_s2=sample.specific_force_m_s2,
             )
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            raise _RefusedPacketError(
-                "packet", f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-            ) from None
+            raise _RefusedPacketError("packet", str(first_refused(error))) from None
         self._senders.mark_used(arrival_ns)
         return message
 

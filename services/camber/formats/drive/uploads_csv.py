@@ -25,6 +25,7 @@ from camber.formats.errors import FormatError
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
+from camber.schemas.refused_field import first_refused
 
 MOST_RECORDS = 2_000
 """In one batch: within the 256 kB of a query."""
@@ -124,7 +125,5 @@ def _batch(source: str, batch_id: str, rows: Sequence[_Row]) -> UploadBatch:
             time_ns=int(times_ns[-1]), batch_id=batch_id, positioning_time_ns=times_ns, **batch, **columns
         )
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or "the row"
-        actual = "" if isinstance(first["input"], np.ndarray | dict) else f" is {str(first['input'])[:40]!r}"
-        raise FormatError(source, field + actual, first["msg"], line_number=line) from None
+        field = first_refused(error, whole="the row")
+        raise FormatError(source, field.name, field.expected, actual=field.value, line_number=line) from None

@@ -25,6 +25,7 @@ from camber.formats.ros.point_cloud2 import PointLayout, point_cloud2, point_lay
 from camber.formats.ros.sensor_messages import imu_of, motion_of, solution_of
 from camber.formats.ros.static_frames import StaticFrames
 from camber.schemas.base import Float64
+from camber.schemas.refused_field import first_refused
 from camber.tools.bags.raw_bytes import RawBytes
 from camber.tools.bags.topic_choice import BYTES_TYPES, TF_STATIC, DriveTopics
 
@@ -189,10 +190,8 @@ def _write_sample(
     try:
         sample = imu_of(content, time_ns, topic.name) if is_imu else motion_of(content, time_ns)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise FormatError(
-            topic.name, ".".join(map(str, first["loc"])), first["msg"], actual=str(first["input"])
-        ) from None
+        field = first_refused(error, whole="message")
+        raise FormatError(topic.name, field.name, field.expected, actual=field.value) from None
     if sample is None or stream is None:
         return False
     stream.write(sample_line(sample, columns).encode())
