@@ -80,7 +80,6 @@ class HeaderTables(NamedTuple):
     kind: Integers
     signal: Integers
     divisor: Floats
-    time_offset_ns: int
     picoseconds: bool
 
 
@@ -118,7 +117,6 @@ class ColumnLayout:
             kind=np.array([_KINDS.get(t.kind, _NO_COLUMN) for t, _ in columns], np.int64),
             signal=np.array([signal for _, signal in columns], np.int64),
             divisor=np.array([1000.0 * t.divisor for t, _ in columns]),
-            time_offset_ns=header.time_offset_ns,
             picoseconds=header.version >= 4.0,
         )
         return cls(tables, tuple(t.name for t, _ in columns))
@@ -139,12 +137,12 @@ class _Output(NamedTuple):
 class EpochBatch:
     """The content of a chunk of a file.
 
-    `columns` (rows,) of all epochs, in the order of `ObservationEpoch`; RINEX has no lock time. `epochs` (n, 3): GPS
-    time [ns], end of its rows, number of problems up to its end. `problems` (m, 4): line, first byte, one of the codes
-    above, and the column or −1. `skipped` (256,): satellites skipped by system letter. `consumed` bytes and `lines` are
-    finished; `event` (3,): begin and end of an event's header lines, and their number, if `stop` is EVENT; `missing`:
-    lines needed, or another epoch line, before the next epoch can be decoded. `stray_reported`: the last lines could
-    not be read, and that has been reported.
+    `columns` (rows,) of all epochs, in the order of `ObservationEpoch`; RINEX has no lock time. `epochs` (n, 3):
+    time [ns] in the file's system, end of its rows, number of problems up to its end. `problems` (m, 4): line, first
+    byte, one of the codes above, and the column or −1. `skipped` (256,): satellites skipped by system letter.
+    `consumed` bytes and `lines` are finished; `event` (3,): begin and end of an event's header lines, and their number,
+    if `stop` is EVENT; `missing`: lines needed, or another epoch line, before the next epoch can be decoded.
+    `stray_reported`: the last lines could not be read, and that has been reported.
     """
 
     columns: tuple[Integers, Integers, Floats, Floats, Floats, Floats, Floats, Flags, Flags]
@@ -268,7 +266,7 @@ def _read_epochs(
                 n_problems = _add_problem(output, n_problems, (number, position, _MIXED, _NO_COLUMN))
             else:
                 n_rows, n_problems = new_rows, new_problems
-                output.epochs[n_epochs, 0] = time_ns + columns.time_offset_ns
+                output.epochs[n_epochs, 0] = time_ns
                 output.epochs[n_epochs, 1] = n_rows
                 output.epochs[n_epochs, 2] = n_problems
                 n_epochs += 1

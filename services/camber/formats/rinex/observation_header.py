@@ -15,7 +15,7 @@ from typing import TypeVar
 from camber.formats.errors import FormatError
 from camber.formats.observations import CARRIER_OF_BAND_HZ, GPS_MINUS_BDT_NS
 from camber.formats.rinex.version2_lines import Rinex2Lines, shared_phases, type_names
-from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.geodesy.gps_time import NS_PER_SECOND, UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 
 T = TypeVar("T")
 
@@ -24,6 +24,8 @@ SYSTEMS_SKIPPED = "SI"
 MAX_HEADER_LINES = 20_000
 """Chosen: bounds the work for a file without END OF HEADER; real ones have below 1,000."""
 _TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
+_UTC = "GLO"  # RINEX 3.04, 4.1.2: the times of a file of GLONASS are UTC, not the system's of Moscow
+_TIME_SYSTEMS = (*_TIME_OFFSETS_NS, _UTC)
 _TIME_SYSTEM_OF_FILE = {"G": "GPS", "E": "GAL", "J": "QZS", "C": "BDT", "R": "GLO", "I": "IRN"}
 _SCALES = (1, 10, 100, 1000)
 _FIRST_WITH_SYSTEM_TYPES = 3.0  # RINEX 3.04, 8.1: before, one list for all systems
@@ -80,10 +82,11 @@ class ObservationHeader:
     leap_seconds: int | None = None
     time_system: str = "GPS"
 
-    @property
-    def time_offset_ns(self) -> int:
-        """GPS time minus the file's time."""
-        return _TIME_OFFSETS_NS[self.time_system]
+    def gps_time_ns(self, time_ns: int) -> int:
+        """Return the GPS time of a time of the file, ns since 1980-01-06 as if every day had 86,400 s."""
+        if self.time_system == _UTC:
+            return gps_ns_from_unix_ns(time_ns + UNIX_OF_GPS_EPOCH_NS)
+        return time_ns + _TIME_OFFSETS_NS[self.time_system]
 
     @property
     def signals(self) -> dict[str, tuple[str, ...]]:
@@ -303,8 +306,8 @@ class HeaderParser:
     def _time_system(self) -> str:
         default = _TIME_SYSTEM_OF_FILE.get(self._file_system, "GPS")
         time_system = self._values.get("TIME OF FIRST OBS") or default
-        if time_system not in _TIME_OFFSETS_NS:
-            raise self._error("time system", f"one of {', '.join(_TIME_OFFSETS_NS)}", time_system)
+        if time_system not in _TIME_SYSTEMS:
+            raise self._error("time system", f"one of {', '.join(_TIME_SYSTEMS)}", time_system)
         return time_system
 
     def _vector(self, label: str) -> tuple[float, float, float] | None:

@@ -1,7 +1,8 @@
 """RINEX 2, 3 and 4 observation files, decoded as a stream.
 
 No input raises: content that cannot be read costs its line, or its epoch, and is one `FormatError` among the results.
-Refused as a whole: unknown versions, times in UTC, files of GLONASS alone, wavelength factors of half cycles.
+Refused as a whole: unknown versions and time systems, wavelength factors of half cycles. Times of files of GLONASS are
+UTC; an epoch within a leap second is an error.
 Ignored: cycle slip records (epoch flag 6), receiver clock offsets.
 """
 
@@ -155,11 +156,13 @@ class RinexDecoder:
     def _append_results(
         self, batch: EpochBatch, lines: bytes, layout: ColumnLayout, results: list[ObservationResult]
     ) -> None:
+        assert self.header is not None
         problems = self._errors(batch, lines, layout)
         first_row = first_problem = 0
         for time_ns, end_row, end_problem in batch.epochs.tolist():
             results += problems[first_problem:end_problem]
-            results.append(batch.observations(time_ns, slice(first_row, end_row)))
+            gps_time_ns = self.header.gps_time_ns(time_ns)
+            results.append(batch.observations(gps_time_ns, slice(first_row, end_row)))
             first_row, first_problem = end_row, end_problem
         results += problems[first_problem:]
         for letter in np.flatnonzero(batch.skipped).tolist():

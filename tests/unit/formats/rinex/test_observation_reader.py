@@ -11,7 +11,7 @@ from camber.formats.errors import FormatError
 from camber.formats.observations import ObservationEpoch, satellite_name, signal_name
 from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.formats.rinex.writer import StationHeader
-from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
+from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, utc_from_gps_ns
 from support.gnss_files import fed_in_pieces, observation_text, read_observations, recording
 from support.random_observations import random_epoch
 from support.simple_rinex import assert_equal_to_simple_reader
@@ -303,7 +303,7 @@ def test_unknown_or_repeated_type_costs_its_column():
 
 
 @pytest.mark.parametrize(
-    ("system", "offset_s"), [("GPS", 0), ("GAL", 0), ("QZS", 0), ("BDT", 14), ("   ", 0)]
+    ("system", "offset_s"), [("GPS", 0), ("GAL", 0), ("QZS", 0), ("BDT", 14), ("GLO", 18), ("   ", 0)]
 )
 def test_time_systems_are_converted_to_gps_time(system, offset_s):
     (epoch,), errors, _ = decode(header(time_system=system) + head(0))
@@ -311,11 +311,33 @@ def test_time_systems_are_converted_to_gps_time(system, offset_s):
     assert epoch.time_ns == NOON_NS + offset_s * 10**9
 
 
+def test_times_in_utc_are_continuous_over_a_leap_second_and_none_is_within_it():
+    times = ("2016 12 31 23 59 59", "2016 12 31 23 59 60", "2017 01 01 00 00  0")
+    epochs, errors, _ = decode(header(time_system="GLO") + "".join(f"> {t}.0000000  0  0\n" for t in times))
+    assert [utc_from_gps_ns(e.time_ns)[:6] for e in epochs] == [
+        (2016, 12, 31, 23, 59, 59),
+        (2017, 1, 1, 0, 0, 0),
+    ]
+    assert epochs[1].time_ns - epochs[0].time_ns == 2 * NS_PER_SECOND
+    assert [e.line_number for e in errors] == [6]
+
+
+def test_a_file_of_glonass_alone_is_in_utc_unless_it_says_otherwise():
+    text = header(types=("R    1 C1C",), time_system="   ").replace(
+        f"{'OBSERVATION DATA':<20}M", f"{'OBSERVATION DATA':<20}R"
+    )
+    (epoch,), errors, decoder = decode(text + head(1) + "R05" + cell(2e7) + "\n")
+    assert not errors
+    assert decoder.header.time_system == "GLO"
+    assert epoch.time_ns == NOON_NS + 18 * NS_PER_SECOND
+    (epoch,), errors, _ = decode(text.replace("0.0000000        ", "0.0000000     GPS") + head(0))
+    assert epoch.time_ns == NOON_NS
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         (header(time_system="UTC"), "test.obs:4: time system is 'UTC', expected one of GPS"),
-        (header(time_system="GLO"), "time system is 'GLO'"),
         (header(version=2.12), "test.obs:1: RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4"),
         (header(version=5.0), "RINEX version is '5.00', expected 2.0 to 2.11, 3 or 4"),
         (header().replace("OBSERVATION DATA", "N: GNSS NAV DATA"), "expected observation data"),

@@ -8,6 +8,7 @@ import subprocess
 import tracemalloc
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,6 +164,16 @@ def test_values_are_those_of_convbin(tmp_path: Path, seed: int) -> None:
     assert compared > 1000
 
 
+@pytest.mark.parametrize("system", ["GLO", "   "])
+def test_times_of_a_file_of_glonass_are_utc(system: str) -> None:
+    first = f"  2005     4     2     0     0    0.0000000     {system}"
+    written = three_epochs(name="R05")
+    read, errors, _ = decode(observation_text_2(written, ["C1"], system="R (GLONASS)", first=first))
+    assert not errors
+    # 13 leap seconds since 1980
+    assert [e.time_ns for e in read] == [e.time_ns + 13 * NS_PER_SECOND for e in written]
+
+
 @pytest.mark.parametrize(("short", "year"), [(80, 1980), (99, 1999), (0, 2000), (5, 2005), (79, 2079)])
 def test_years_have_two_digits(short: int, year: int) -> None:
     assert full_year(short) == year
@@ -176,7 +187,7 @@ def one_satellite(time_ns: int, *, name: str = "G05", value: float = 2e7, flag: 
     return Epoch2(time_ns=time_ns, satellites={name: {"C1": (value, " ", " ")}}, flag=flag)
 
 
-def three_epochs(**changes: int) -> list[Epoch2]:
+def three_epochs(**changes: Any) -> list[Epoch2]:
     return [one_satellite(START_NS + k * NS_PER_SECOND, **changes) for k in range(3)]
 
 
@@ -311,7 +322,7 @@ def test_damaged_value_costs_its_satellite_and_is_named_by_its_number() -> None:
         (("     2.11", "     2.12"), "RINEX version is '2.12', expected 2.0 to 2.11, 3 or 4"),
         (("# / TYPES OF OBSERV", "# / TYPES OF OBSERX"), "# / TYPES OF OBSERV, expected this line"),
         (("     1     1 ", "     1     2 "), "WAVELENGTH FACT L1/2 is '1     2', expected 1: phases with"),
-        (("GPS         TIME", "GLO         TIME"), "time system is 'GLO'"),
+        (("GPS         TIME", "UTC         TIME"), "time system is 'UTC', expected one of GPS"),
         (("OBSERVATION DATA", "METEOROLOGICAL D"), "file type is 'METEOROLOGICAL D', expected observation"),
     ],
 )
