@@ -28,6 +28,7 @@ from camber.road_map.road_columns import ReleaseError
 from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.shared_warm_up import warm_up_all
 from camber.validation.evaluate import evaluate_folder, headline
 from camber.validation.reference_trajectory import truth_of
@@ -47,6 +48,7 @@ def main(argv: Sequence[str]) -> int:
 
     def work() -> int:
         manifest = load_manifest(args.drive, overrides)
+        check_output_folder(args.out, "drive.json", "work")
         return replay(manifest, args.out, processes=args.processes, speed=args.speed, quiet=args.quiet)
 
     return report_failures("camber replay", args.out, work)

@@ -12,6 +12,7 @@ from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import add_with_default
 
 CITY_FUNCTIONS = 20
@@ -39,6 +40,7 @@ def main(argv: Sequence[str]) -> int:
         parser.error("--engine: the short drive has no raw observations")
 
     def work() -> int:
+        check_output_folder(args.out, "drive.json", "work", "city/scenario.json")
         args.out.mkdir(parents=True, exist_ok=True)
         manifest = load_manifest((_short if args.short else _city)(args.out, args.seed))
         if args.engine:

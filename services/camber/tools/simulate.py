@@ -30,11 +30,13 @@ from camber.simulator.simulated_drive import simulate_drive
 from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SECONDS, SEED
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.feed import add_bus_arguments, feed
 
 _PROG = "camber simulate"
-_MARK = "scenario.json"
+SCENARIO_FILE = "scenario.json"
+"""In every folder of a simulation."""
 _LONG_STOP_S = (
     5.0  # chosen: a longer stop at the end is reported, the route may be too short for the duration
 )
@@ -89,10 +91,11 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool, functions: int | Non
     """Run the simulation, with a progress bar on a terminal; returns the manifest's path, or the folder of a fleet.
 
     An earlier simulation in the folder is replaced. `functions`: how many are compiled for it, if known. Raises
-    ScenarioError, OSError where a file cannot be written, and ModuleNotFoundError without numba.
+    ScenarioError, FormatError where something else is in the folder, OSError where a file cannot be written, and
+    ModuleNotFoundError without numba.
     """
     require_numba()
-    _check_room(out)
+    check_output_folder(out, SCENARIO_FILE)
     began = time.monotonic()
     with compilation_bar(functions, quiet=quiet):
         made, stops = (
@@ -129,17 +132,11 @@ def _drive(scenario: Scenario, out: Path, *, quiet: bool) -> tuple[Path, str]:
     return out / "drive.toml", stops
 
 
-def _check_room(out: Path) -> None:
-    """Raise ScenarioError unless the folder is new or contains an earlier simulation."""
-    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
-        raise ScenarioError(f"{out}: not empty, expected a new folder or one of an earlier simulation")
-
-
 def _make_room(out: Path, scenario: Scenario) -> None:
     if out.is_dir():
         shutil.rmtree(out)
     out.mkdir(parents=True)
-    (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
+    (out / SCENARIO_FILE).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
 
 
 def _parser() -> argparse.ArgumentParser:

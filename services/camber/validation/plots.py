@@ -186,9 +186,9 @@ def svg_text(figure: Figure) -> str:
     return file.getvalue().decode("utf-8")
 
 
-def png_bytes(figure: Figure, dpi: float) -> bytes:
-    """The figure as PNG, drawn by Agg."""
+def png_bytes(figure: Figure, dpi: float, *, software: str) -> bytes:
+    """The figure as PNG, drawn by Agg, which names in its first bytes what it was made with."""
     file = io.BytesIO()
     with plot_style():
-        figure.savefig(file, format="png", dpi=dpi, metadata={"Software": None})
+        figure.savefig(file, format="png", dpi=dpi, metadata={"Software": software})
     return file.getvalue()

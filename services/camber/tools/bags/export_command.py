@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.replay.run_folder import RunFolder
 from camber.schemas.integrity import Position, Verdict
 from camber.tools.options.error_report import report_failures
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber export"
@@ -48,16 +50,17 @@ def main(argv: Sequence[str]) -> int:
 def export_bag(run: Path, out: Path) -> str:
     """Write the bag and return what it has. A damaged recording gives what is before the damage.
 
-    Raises FormatError where there is no verdict or position, or the bag exists, OSError.
+    Raises FormatError where there is no verdict or position, or something is in the folder, OSError.
     """
     recording = RunFolder(run).recording_path if run.is_dir() else run
     errors: list[RecordingError] = []
-    if out.exists():
-        raise FormatError(str(out), "folder", "one that does not exist yet")
+    check_output_folder(out)
     items = read_recording(recording, ("verdict", "position"))
     first = next(items, None)
     if first is None or isinstance(first, RecordingError):
         raise first or FormatError(recording.name, "messages", "verdicts or positions")
+    with suppress(FileNotFoundError):  # the library takes no folder, not even an empty one
+        out.rmdir()
     with Writer(out, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
         topics = _BagTopics(bag, _positions_of_fixes(recording))
         for item in chain([first], items):

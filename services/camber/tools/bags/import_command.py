@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from camber.formats.errors import FormatError
 from camber.formats.ros.bag_reader import open_bag
 from camber.schemas.drive import load_manifest
 from camber.tools.bags.drive_import import DriveParts, TopicTally, static_frames, write_drive_files
@@ -20,6 +19,7 @@ from camber.tools.bags.imported_manifest import imported_manifest
 from camber.tools.bags.raw_bytes import RawBytes
 from camber.tools.bags.topic_choice import TopicNames, choose_topics
 from camber.tools.options.error_report import report_failures
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber import"
@@ -42,8 +42,7 @@ def import_bag(paths: Sequence[Path], out: Path, names: TopicNames, *, base_fram
 
     Raises FormatError, ManifestError, OSError.
     """
-    if out.exists():
-        raise FormatError(str(out), "folder", "one that does not exist yet")
+    check_output_folder(out)
     bag_name = paths[0].resolve().name
     out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".camber-import-", dir=out.parent) as temporary, open_bag(paths) as bag:

@@ -23,6 +23,7 @@ from camber.tools.localize.drive_anchors import receiver_fixes
 from camber.tools.localize.local_map_queries import LocalMapQueries
 from camber.tools.localize.localizer_run import drive_map, localize, localizer_settings
 from camber.tools.options.error_report import report_failures
+from camber.tools.options.output_check import check_output_file
 from camber.tools.options.parsers import add_drive, tool_parser
 
 _PROG = "camber calibrate"
@@ -34,6 +35,8 @@ def main(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
 
     def work() -> str:
+        if args.out is not None:
+            check_output_file(args.out, _PROG)
         summary, snippet = calibrate(load_manifest(args.drive, args.set), quiet=args.quiet)
         if args.out is None:
             return f"{summary}\n\n{snippet.rstrip()}"
@@ -113,7 +116,7 @@ def _snippet(
     name: str, horizontal: HorizontalCalibration | None, height: CommonOffset | None, arm: LeverArm
 ) -> str:
     """Return tables for drive.toml; the base offset, which has no setting, as a comment."""
-    lines = [f"# Estimated by camber calibrate from the drive {name}."]
+    lines = [f"# Estimated by {_PROG} from the drive {name}."]
     x_m, y_m, note = arm.x_m, arm.y_m, "  # as it was set"
     if horizontal is not None:
         x_m, y_m = x_m + float(horizontal.lever_m[0]), y_m + float(horizontal.lever_m[1])

@@ -33,6 +33,7 @@ from camber.tools.gnss.solve_plot import SolvedDrive, solution_figure
 from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.reference_trajectory import offset_of, truth_of
@@ -56,6 +57,7 @@ def main(argv: Sequence[str]) -> int:
         parser.error("expected a manifest, which --set overrides, or files of rover, base and ephemerides")
 
     def work() -> str:
+        check_output_folder(args.out, "engine.pos")
         if len(args.inputs) == 1:
             return solve(load_manifest(args.inputs[0], args.set), options, args.out)
         return solve_files(args.inputs, options, args.out, base_ecef_m=args.base_ecef_m)

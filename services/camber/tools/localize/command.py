@@ -21,6 +21,7 @@ from camber.tools.localize.match_picture import match_figure
 from camber.tools.localize.results import drive_summary, matches_csv, poses_csv
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import add_drive, tool_parser
 from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors
 from camber.validation.plots import require_matplotlib, svg_text
@@ -37,7 +38,9 @@ def main(argv: Sequence[str]) -> int:
     options = {"anchors": args.anchors, "fixes": args.fixes, "pictures_s": args.picture, "quiet": args.quiet}
 
     def work() -> str:
-        return localize_drive(load_manifest(args.drive, args.set), args.out, settings=further, **options)
+        manifest = load_manifest(args.drive, args.set)
+        check_output_folder(args.out, "poses.csv", "work")
+        return localize_drive(manifest, args.out, settings=further, **options)
 
     return report_failures(_PROG, args.out, work)
 

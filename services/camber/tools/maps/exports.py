@@ -29,6 +29,7 @@ from camber.tools.maps.importers.surfaces_along import Floats, Integers
 from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
+from camber.tools.options.output_check import check_output_file, check_output_folder
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map export"
@@ -58,6 +59,7 @@ def export_geojson(release: Release, name: str, out: Path, _: float | None) -> l
     """Write one file."""
     datum = crs_of(release.manifest.datum, name, "datum", "one that PROJ knows").geodetic_crs.name
     surfaces, links = release.road_surfaces(), release.road_links()
+    check_output_file(out)  # it may have been edited since
     write_file(out, geojson_text(surfaces, links).encode())
     is_wgs84 = datum == "WGS 84" or aligned_to_wgs84(datum)
     remark = "" if is_wgs84 else f"; positions are of {datum}, which GeoJSON cannot express"
@@ -78,6 +80,7 @@ def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None)
     latitude_rad = float(np.median(surfaces.latitude_rad))
     cell_rad = np.array([side_m / prime_vertical_radius_m(latitude_rad) / np.cos(latitude_rad),
                          side_m / meridian_radius_m(latitude_rad)])  # fmt: skip
+    check_output_folder(out, "level_*.tif")
     out.mkdir(parents=True, exist_ok=True)
     lines = []
     for level in np.unique(surfaces.level).tolist():
@@ -151,6 +154,7 @@ def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> 
     points = np.concatenate([np.zeros((0, 3)), *places])
     if not len(points):
         raise FormatError(name, "clouds", "points of an environment or a road")
+    check_output_folder(out, "map_projector_info.yaml", "pointcloud_map")
     import pyproj
 
     origin_deg = np.floor(np.degrees(points[:, :2].min(axis=0)) * 100.0) / 100.0

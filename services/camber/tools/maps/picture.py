@@ -25,6 +25,7 @@ from camber.tools.localize.map_drawing import draw_clouds, link_lines
 from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
+from camber.tools.options.output_check import check_output_file
 from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.validation.plots import draw_lines, draw_scale_and_north, plot_style, png_bytes
 
@@ -51,6 +52,7 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
 
     def work() -> str:
+        check_output_file(args.out, _PROG)
         tile = None if args.tile is None else (args.tile[0], args.tile[1])
         png, summary = picture(named_release(args), str(args.release), tile, args.pixels)
         write_file(args.out, png)
@@ -75,7 +77,7 @@ def picture(release: Release, name: str, tile: Tile | None, pixels: int) -> tupl
         if pixels >= _LEAST_PIXELS:
             draw_scale_and_north(axes)
             _draw_legend(axes, lowest_m, highest_m, surfaces=drawn)
-        png = png_bytes(figure, _DPI)
+        png = png_bytes(figure, _DPI, software=_PROG)
     heights = f", heights {lowest_m:.1f} to {highest_m:.1f} m" if drawn else ""
     return png, f"{high_m[0] - low_m[0]:.0f} × {high_m[1] - low_m[1]:.0f} m, {drawn} surfaces{heights}"
 

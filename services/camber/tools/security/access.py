@@ -25,11 +25,13 @@ from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls_certificates import TlsError, certificate_name, name_of
 from camber.schemas.channels import CHANNELS
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.output_check import check_output_file
 from camber.tools.options.parsers import add_with_default, tool_parser
 from camber.tools.security.access_rules import INSIDE, AllowedMessage, Kind, Party, allowed_messages
 from camber.tools.security.certificate_authority import Authority, CertsError, check_name
 from camber.tools.security.router_config import cloud_config, text_of, vehicle_config
 
+_PROG = "camber access"
 LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7448", "tcp/127.0.0.1:7447"
 FOLDER = Path("/etc/camber/tls")
 _KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -57,12 +59,12 @@ def main(argv: list[str] | None = None) -> int:
         code: int = args.work(args)
         return code
     except (CertsError, TlsError, ValueError, OSError) as error:
-        print(f"camber access: {error}", file=sys.stderr)
+        print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = tool_parser("camber access", __doc__)
+    parser = tool_parser(_PROG, __doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     cloud = commands.add_parser("cloud", help="write the configuration of a cloud router")
     cloud.set_defaults(work=_cloud)
@@ -190,12 +192,12 @@ def _check(args: argparse.Namespace) -> int:
         name = args.name or name_in(router_rules(args.file)) or common_name
         access = can_publish(settings, name, timeout_s=args.timeout_s)
     except (BusError, TlsError) as error:
-        print(f"camber access: {args.file}: {error}", file=sys.stderr)
+        print(f"{_PROG}: {args.file}: {error}", file=sys.stderr)
         return 3
     if access == "permitted":
         print(f"accepted as {name} at {', '.join(settings.connect)}")
         return 0
-    print(f"camber access: {denial_message(settings, name)}", file=sys.stderr)
+    print(f"{_PROG}: {denial_message(settings, name)}", file=sys.stderr)
     return 1
 
 
@@ -213,6 +215,7 @@ def _write(path: Path | None, text: str) -> None:
     if path is None:
         print(text, end="")
         return
+    check_output_file(path, _PROG)
     target = path.resolve()
     fresh = target.with_name(target.name + ".new")
     try:

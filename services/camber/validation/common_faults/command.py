@@ -23,6 +23,7 @@ from camber.replay.run_folder import write_whole
 from camber.simulator.world.countryside import Ground
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import PROCESSES, SEED, number_from
+from camber.tools.options.output_check import check_output_folder
 from camber.validation.common_faults.drive import Setting
 from camber.validation.common_faults.fault_cases import BY_NAME
 from camber.validation.common_faults.page import page
@@ -41,6 +42,7 @@ def main(argv: Sequence[str]) -> int:
 
     def work() -> int:
         if not args.page_only:
+            check_output_folder(args.out, *(f"{part}-*-*.json" for part in PARTS))
             _run(list(_jobs(args)), args.out, workers=args.processes, keep=args.keep)
         figures = [json.loads(path.read_text("utf-8")) for path in sorted(args.out.glob("*.json"))]
         text = page(figures)

@@ -19,8 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camber.formats.errors import FormatError
 from camber.replay.run_folder import write_whole
 from camber.tools.options.number_options import PROCESSES, SEED, number_from, whole_from
+from camber.tools.options.output_check import check_output_folder
 from camber.validation.evidence.faults import run_faults
 from camber.validation.evidence.nagoya import REQUIREMENTS, run_seed
 from camber.validation.evidence.page import page
@@ -51,7 +53,10 @@ class Job:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run what is asked for and write the page; 0 done, 1 a drive could not be run, 130 interrupted."""
+    """Run what is asked for and write the page.
+
+    0 done, 1 a drive could not be run, 2 the folder has other things in it, 130 interrupted.
+    """
     parser = _parser()
     args = parser.parse_args(argv)
     if args.page_only and args.page is None:
@@ -62,10 +67,14 @@ def main(argv: Sequence[str]) -> int:
         jobs = [job for part in parts for job in _jobs(part, args, notes)]
         failed: list[str] = []
         if not args.page_only:
+            check_output_folder(args.out, "work")
             failed = _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
         notes += failed
         if args.page is not None:
             args.page.write_text(_page(args.out, args.lab, notes), "utf-8")
+    except FormatError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
         return 1

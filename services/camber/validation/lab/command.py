@@ -11,6 +11,7 @@ from pathlib import Path
 from camber.formats.errors import FormatError
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import PROCESSES, SEED, whole_from
+from camber.tools.options.output_check import check_output_folder
 from camber.validation.lab.html_page import lab_html
 from camber.validation.lab.page import page
 from camber.validation.lab.run import RunSize, run
@@ -42,6 +43,7 @@ def _page_of(path: Path) -> str:
 
 
 def _write(options: argparse.Namespace) -> None:
+    check_output_folder(options.out, "lab.json")
     trials = QUICK_TRIALS if options.quick else options.trials
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)

@@ -132,8 +132,10 @@ def test_a_damaged_recording_gives_what_is_before_the_damage(
 
 def test_what_cannot_be_exported_is_one_line(run: Path, bag: Path, tmp_path: Path, refused: Refused) -> None:
     line = refused(export_command.main, run, "--rosbag", bag)
-    assert line.endswith("folder, expected one that does not exist yet")
+    assert line == f"camber export: {bag}: not empty, expected a new folder"
+    (tmp_path / "b").mkdir()
     assert "none.mcap" in refused(export_command.main, tmp_path / "none.mcap", "--rosbag", tmp_path / "b")
     (tmp_path / "no.mcap").write_bytes(np.zeros(100, np.uint8).tobytes())
     assert "no.mcap" in refused(export_command.main, tmp_path / "no.mcap", "--rosbag", tmp_path / "b")
-    assert not (tmp_path / "b").exists()
+    assert not any((tmp_path / "b").iterdir())
+    assert export_command.main([str(run), "--rosbag", str(tmp_path / "b")]) == 0

@@ -369,7 +369,9 @@ def test_half_a_bag_is_one_line_and_leaves_nothing(blind: Path, tmp_path: Path, 
 def test_a_folder_that_exists_is_not_written_into(tmp_path: Path, refused: Refused) -> None:
     bag = made(tmp_path / "bag", lambda bag: bag.nav_sat_fix("/fix", UNIX_NS, SOLUTION))
     line = refused(import_command.main, bag, "--out", tmp_path)
-    assert line.endswith("folder, expected one that does not exist yet")
+    assert line == f"camber import: {tmp_path}: not empty, expected a new folder"
+    (tmp_path / "empty").mkdir()
+    assert imported(bag, tmp_path / "empty").name == "bag"
 
 
 def test_names_of_a_bag_cannot_add_lines_to_the_manifest(tmp_path: Path) -> None:

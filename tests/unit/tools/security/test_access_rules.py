@@ -203,7 +203,7 @@ def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: P
     arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "link.json5")]
     (tmp_path / "there").mkdir()
     target = tmp_path / "there" / "vehicle.json5"
-    target.write_text("before")
+    target.write_text("// Made by `camber access vehicle car-1`\n")
     target.chmod(0o640)
     (tmp_path / "link.json5").symlink_to(target)
     assert access.main(arguments) == 0
