@@ -1,9 +1,10 @@
 """Keys, liveliness tokens, identifiers and attachments as rmw_zenoh writes them, from version 0.6 on.
 
 Source: ros2/rmw_zenoh, docs/design.md ("Topic and Service name mapping", "Graph Cache"), rmw_zenoh_cpp/src/detail/
-liveliness_utils.cpp, attachment_helpers.cpp, qos.cpp and rmw_publisher_data.cpp. Jazzy has had this format since 0.2.4.
-Humble's messages have no hashes: its keys end in `TypeHashNotSupported`, the rest is the same, 16 bytes of identifier
-too (ros2/rmw_zenoh, pull request 388).
+liveliness_utils.cpp, attachment_helpers.cpp, qos.cpp and rmw_publisher_data.cpp. Jazzy has had this format since 0.2.4,
+Humble since 0.1.2 (CHANGELOG.rst, pull requests 601, 605 and 606); before, each value of an attachment came after its
+name. Humble's messages have no hashes: its keys and tokens have `TypeHashNotSupported` in their place, the rest is the
+same, 16 bytes of identifier too (pull request 388).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ _ADMIN_SPACE = "@ros2_lv"
 _GID_BYTES = 16  # rmw/types.h, RMW_GID_STORAGE_SIZE
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_BYTES}s")
 """By Zenoh's serialization: two int64, then a sequence of bytes after its length."""
+_NAMED_VALUES = b"\x0fsequence_number"
+"""Begin of an attachment before pull request 601: its first name, after its length."""
 _DEFAULT_DEPTH = 42  # qos.cpp, RMW_ZENOH_DEFAULT_HISTORY_DEPTH
 
 
@@ -136,9 +139,11 @@ def decode_attachment(data: bytes | None) -> Attachment:
     """Return what an attachment says. Raises ValueError for none and for one of another format."""
     if data is None:
         raise ValueError("a message without attachment: its publisher is not of rmw_zenoh")
-    if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
+    if data.startswith(_NAMED_VALUES):
         raise ValueError(
-            f"an attachment of {len(data)} bytes, expected {_ATTACHMENT.size}: rmw_zenoh before 0.6 (Jazzy: 0.2.4)?"
+            "its publisher has an old rmw_zenoh, expected 0.6 or later (Jazzy: 0.2.4, Humble: 0.1.2)"
         )
+    if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
+        raise ValueError(f"an attachment of {len(data)} bytes, expected the {_ATTACHMENT.size} of rmw_zenoh")
     sequence, source_unix_ns, _, gid = _ATTACHMENT.unpack(data)
     return Attachment(sequence=sequence, source_unix_ns=source_unix_ns, gid=gid)

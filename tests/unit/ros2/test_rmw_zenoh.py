@@ -57,6 +57,11 @@ def test_keys_of_topics_are_those_of_the_design() -> None:
 def test_humble_has_no_hash() -> None:
     topic = Topic(name="/chatter", kind="std_msgs/msg/String", type_hash=NO_TYPE_HASH)
     assert topic.key(0) == "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
+    expected = (
+        "@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/"
+        "std_msgs::msg::dds_::String_/TypeHashNotSupported/::,10:,:,:,,"
+    )
+    assert TALKER.topic_token(10, "MP", topic, TopicQos()) == expected
 
 
 def test_the_hash_in_the_design_is_the_one_that_rosbags_computes() -> None:
@@ -127,6 +132,21 @@ def test_other_attachments_are_refused(data: bytes) -> None:
         decode_attachment(data)
 
 
+def test_an_attachment_of_before_its_change_is_refused_with_the_versions_that_have_it() -> None:
+    """Names and values in turn, as attachment_helpers.cpp wrote them up to 0.5 (Jazzy 0.2.3, Humble 0.1.1)."""
+    gid = bytes(range(16))
+    named = (
+        b"\x0fsequence_number" + struct.pack("<q", 1)
+        + b"\x10source_timestamp" + struct.pack("<q", 1_764_357_000_123_456_789)
+        + b"\x0asource_gid" + b"\x10" + gid
+    )  # fmt: skip
+    assert len(named) == 77
+    with pytest.raises(
+        ValueError, match=r"old rmw_zenoh, expected 0\.6 or later \(Jazzy: 0\.2\.4, Humble: 0\.1\.2\)"
+    ):
+        decode_attachment(named)
+
+
 def test_a_message_without_attachment_is_refused() -> None:
     with pytest.raises(ValueError, match="without attachment"):
         decode_attachment(None)
@@ -136,6 +156,8 @@ def test_only_tokens_of_publishers_are_publishers() -> None:
     expected = PublisherToken("/chatter", "std_msgs::msg::dds_::String_", HASH)
     assert publisher_of(TALKER_TOKEN) == expected
     assert publisher_of(f"{TALKER_TOKEN}/cuda") == expected, "later versions append backends"
+    humble = TALKER_TOKEN.replace(HASH, NO_TYPE_HASH).replace("::,7:,:,:,,", "1:2:1,7:,:,:,,")
+    assert publisher_of(humble) == expected._replace(type_hash=NO_TYPE_HASH), "QoS may be written out"
     assert publisher_of(LISTENER_TOKEN) is None
     assert publisher_of(LISTENER.token()) is None
     assert publisher_of(TALKER_TOKEN.replace("@ros2_lv", "@other")) is None
