@@ -32,7 +32,10 @@ def camber(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_the_short_demo_runs_and_gives_the_verdicts_of_a_full_installation(tmp_path: Path) -> None:
     done = camber("demo", "--short", "--out", "demo", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
+    errors = [
+        line for line in done.stderr.splitlines() if not line.endswith(" s")
+    ]  # of progress, on a slow machine
+    assert (done.returncode, errors) == (0, [])
     summary = json.loads((tmp_path / "demo" / "summary.json").read_text("utf-8"))
     assert (summary["confirmed"]["count"], summary["confirmed"]["wrong"]) == (400, 0)
 

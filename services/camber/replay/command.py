@@ -16,8 +16,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, ModuleType
 
-from tqdm import tqdm
-
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
@@ -29,6 +27,7 @@ from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
 from camber.tools.options.output_check import check_output_folder
+from camber.tools.options.progress_display import ProgressDisplay
 from camber.tools.options.shared_warm_up import warm_up_all
 from camber.validation.evaluate import evaluate_folder, headline
 from camber.validation.reference_trajectory import truth_of
@@ -71,7 +70,7 @@ def replay(
     tick_times_ns = inputs.tick_times_ns
     recorded = None
     with (
-        tqdm(total=len(tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar,
+        ProgressDisplay(len(tick_times_ns), "epoch", quiet=quiet) as display,
         RunRecorder(folder, manifest, tick_times_ns[0], settings=service_settings(inputs, out)) as recorder,
         _interruptible(),
     ):
@@ -82,12 +81,12 @@ def replay(
             from camber.replay.lock_step.drive import replay_through_processes
 
             wall_s, notes = replay_through_processes(
-                inputs, out, recorder=recorder, speed=speed, progress=bar.update
+                inputs, out, recorder=recorder, speed=speed, progress=display.advance
             )
         else:
             began = time.monotonic()
             output = replay_in_one_process(
-                inputs, out, channels=CHART_CHANNELS, recorder=recorder, progress=bar.update
+                inputs, out, channels=CHART_CHANNELS, recorder=recorder, progress=display.advance
             )
             wall_s, notes = time.monotonic() - began, output.notes
             recorded = None if recorder.notes else output.recorded

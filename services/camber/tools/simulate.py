@@ -9,15 +9,12 @@ from __future__ import annotations
 import argparse
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-
-from tqdm import tqdm
 
 from camber.compiled.decorator import require_numba
 from camber.geodesy.gps_time import gpst_from_gps_ns
@@ -31,6 +28,7 @@ from camber.tools.options.compilation_bar import compilation_bar
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SECONDS, SEED
 from camber.tools.options.output_check import check_output_folder
+from camber.tools.options.progress_display import ProgressDisplay
 from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.feed import add_bus_arguments, feed
 
@@ -110,10 +108,9 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool, functions: int | Non
 def _fleet(scenario: Scenario, out: Path, *, quiet: bool) -> tuple[Path, str]:
     assert scenario.fleet is not None
     _make_room(out, scenario)
-    hidden = quiet or not sys.stderr.isatty()
-    with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
+    with ProgressDisplay(scenario.fleet.vehicles, "vehicle", quiet=quiet) as display:
         for _ in write_fleet(out, scenario):
-            bar.update()
+            display.advance()
     return out, ""
 
 
@@ -124,11 +121,10 @@ def _drive(scenario: Scenario, out: Path, *, quiet: bool) -> tuple[Path, str]:
     if drive.arrives_s < scenario.duration_s - _LONG_STOP_S:
         stops = f", at the end of its route after {drive.arrives_s:.0f} s"
     _make_room(out, scenario)
-    hidden = quiet or not sys.stderr.isatty()
-    with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
+    with ProgressDisplay(parts_of(drive), "part", quiet=quiet) as display:
         for part in write_drive(out, drive):
-            bar.set_description(part, refresh=False)
-            bar.update()
+            display.describe(part)
+            display.advance()
     return out / "drive.toml", stops
 
 

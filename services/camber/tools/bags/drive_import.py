@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from io import BufferedWriter
@@ -87,10 +87,13 @@ def static_frames(bag: Bag) -> StaticFrames:
     return frames
 
 
-def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
+def write_drive_files(
+    bag: Bag, parts: DriveParts, folder: Path, *, progress: Callable[[], object] = lambda: None
+) -> None:
     """Write sweeps, receiver.pos, motion.csv, imu.csv and raw files; the tallies say what was taken.
 
-    Raises FormatError where a topic has no usable message or the bag is damaged, OSError.
+    `progress` is called after each message. Raises FormatError where a topic has no usable message or the bag is
+    damaged, OSError.
     """
     topics = parts.topics
     with closing(parts.raw), _files(folder, topics) as streams:
@@ -104,6 +107,7 @@ def write_drive_files(bag: Bag, parts: DriveParts, folder: Path) -> None:
                 tally.first_fault = tally.first_fault or error
             else:
                 tally.taken += taken
+            progress()
     for tally in parts.tallies.values():
         if tally.first_fault is not None and not tally.taken:
             raise tally.first_fault

@@ -21,6 +21,7 @@ from camber.tools.bags.topic_choice import TopicNames, choose_topics
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import tool_parser
+from camber.tools.options.progress_display import ProgressDisplay
 
 _PROG = "camber import"
 _BASE_FRAMES = ("base_footprint", "base_link")  # REP 120, REP 105
@@ -57,7 +58,9 @@ def import_bag(paths: Sequence[Path], out: Path, names: TopicNames, *, base_fram
             frames=frames,
             base_frame=base_frame or default,
         )
-        write_drive_files(bag, parts, folder)
+        messages = sum(bag.topics[name].messages for name in topics.names)
+        with ProgressDisplay(messages, "message") as display:
+            write_drive_files(bag, parts, folder, progress=display.advance)
         name = re.sub(r"[^A-Za-z0-9_.:@+-]", "-", Path(bag_name).stem).lstrip("_.:@+-")[:64] or "bag"
         text = imported_manifest(name, [path.resolve().name for path in paths], parts)
         (folder / "drive.toml").write_text(text, "utf-8")

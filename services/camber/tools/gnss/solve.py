@@ -10,7 +10,7 @@ import argparse
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.tools.options.output_check import check_output_folder
 from camber.tools.options.parsers import add_with_default, tool_parser
+from camber.tools.options.progress_display import ProgressDisplay
 from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.reference_trajectory import offset_of, truth_of
 
@@ -78,7 +79,7 @@ def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
     rover = _within(recording.rover, manifest)
     if not rover:
         raise ManifestError(f"{manifest.name}: no epoch of the rover from start_s to end_s, expected some")
-    solved = run_engine(recording, rover, options)
+    solved = _run_with_display(recording, rover, options)
     errors_m = _errors_m(manifest, solved)
     return _written(manifest.name, recording, solved, options, errors_m=errors_m, out=out)
 
@@ -94,7 +95,7 @@ def solve_files(
     require_matplotlib()
     rover, base, *ephemerides = files
     recording = _load(rover, base, ephemerides, base_ecef_m=base_ecef_m)
-    solved = run_engine(recording, recording.rover, options)
+    solved = _run_with_display(recording, recording.rover, options)
     return _written(rover.name, recording, solved, options, errors_m=None, out=out)
 
 
@@ -126,11 +127,22 @@ def _written(
     return "\n".join([summary, *recording.notes])
 
 
-def run_engine(
+def _run_with_display(
     recording: RawRecording, rover: Sequence[ObservationEpoch], options: EngineSettings
 ) -> SolvedDrive:
+    with ProgressDisplay(len(rover), "epoch") as display:
+        return run_engine(recording, rover, options, progress=display.advance)
+
+
+def run_engine(
+    recording: RawRecording,
+    rover: Sequence[ObservationEpoch],
+    options: EngineSettings,
+    *,
+    progress: Callable[[], object] = lambda: None,
+) -> SolvedDrive:
     """Solve the rover's epochs in order, each with the newest base epoch at its time; all ephemerides known at once, as
-    in post-processing."""
+    in post-processing. `progress` is called after each epoch."""
     sets = Counter(ephemeris.satellite for ephemeris in recording.ephemerides)
     most = max(options.ephemerides_of_satellite, *sets.values(), 0)
     engine = Engine(options.model_copy(update={"ephemerides_of_satellite": most}), recording.base_ecef_m)
@@ -155,6 +167,7 @@ def run_engine(
             position[k], covariance[k] = solution.position_ecef_m, solution.covariance_ecef_m2
         ratio[k] = math.nan if solution.ratio is None else solution.ratio
         age_s[k] = math.nan if solution.age_s is None else solution.age_s
+        progress()
     return SolvedDrive(
         time_ns=np.array([epoch.time_ns for epoch in rover], np.int64),
         quality=quality,

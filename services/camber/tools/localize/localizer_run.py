@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
-
-from tqdm import tqdm
 
 from camber.localizer import warm_up as localizer_warm_up
 from camber.localizer.localization import Localization, LocalizationOptions
@@ -31,6 +28,7 @@ from camber.schemas.motion import Imu, Motion
 from camber.schemas.pose import Pose, ScanMatch
 from camber.tools.localize.local_map_queries import release_for
 from camber.tools.localize.localizer_config import localizer_config
+from camber.tools.options.progress_display import ProgressDisplay
 from camber.tools.options.shared_warm_up import warm_up_all
 
 M = TypeVar("M", bound=Message)
@@ -113,7 +111,7 @@ def localize(
     poses: list[Pose] = []
     matches: list[ScanMatch] = []
     sweep_s: list[float] = []
-    with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
+    with ProgressDisplay(len(inputs.tick_times_ns), "epoch", quiet=quiet) as display:
         for tick in inputs.ticks():
             _deliver_before(tick.time_ns + 1, fixed, localization.on_fix)
             _deliver_before(tick.time_ns, confirmed, localization.on_verdict)
@@ -135,7 +133,7 @@ def localize(
                 poses.append(step.pose)
             if on_matches is not None and matcher is not None and step.matches:
                 on_matches(step.matches, matcher)
-            bar.update()
+            display.advance()
     return LocalizedDrive(
         poses=poses, matches=matches, sweep_s=sweep_s, tally=tally, notes=(*inputs.notes, *reader.notes())
     )

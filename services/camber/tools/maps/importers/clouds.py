@@ -32,6 +32,7 @@ from camber.tools.maps.importers.surfaces_along import Floats, Integers, surface
 from camber.tools.maps.importers.survey_drive import DriveRoads, RoadTrack, drive_roads
 from camber.tools.options.number_options import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from
 from camber.tools.options.parsers import add_with_default
+from camber.tools.options.progress_display import ProgressDisplay
 
 _REACH_M = 4.0  # chosen: as the default of --reach-m in `survey_drive`
 
@@ -68,10 +69,12 @@ def build(args: argparse.Namespace) -> BuiltMap:
     roads = drive_roads(poses.track(args.above_road_m), str(args.poses), args.width_m, _REACH_M)
     vertical: VerticalDatum | None = None
     parts, files = [], _files(args.files)
-    for number, path in enumerate(files):
-        points_m, conversion = _placed(path, (number, len(files)), poses, frame=roads.frame, args=args)
-        vertical = conversion or vertical
-        parts.append(ground_points.thinned(points_m, args.voxel_m) if len(points_m) else points_m)
+    with ProgressDisplay(len(files), "cloud") as display:
+        for number, path in enumerate(files):
+            points_m, conversion = _placed(path, (number, len(files)), poses, frame=roads.frame, args=args)
+            vertical = conversion or vertical
+            parts.append(ground_points.thinned(points_m, args.voxel_m) if len(points_m) else points_m)
+            display.advance()
     points_m = ground_points.thinned(np.concatenate(parts), args.voxel_m)
     if not len(points_m):
         raise FormatError(str(args.files[0]), "points", "at least one")
