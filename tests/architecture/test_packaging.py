@@ -48,7 +48,8 @@ def test_a_wheel_holds_both_roots_and_says_that_it_is_typed(tmp_path: Path) -> N
     for root in SOURCE_ROOTS:
         built = {str(path.relative_to(root.parent)) for path in root.rglob("*.py")}
         assert built <= names
-    assert "camber/formats/ros/msg/camber_msgs/msg/Verdict.msg" in names
+    messages = "camber/formats/ros/msg/camber_msgs"
+    assert {f"{messages}/{name}" for name in ("CMakeLists.txt", "package.xml", "msg/Verdict.msg")} <= names
 
 
 def test_the_extra_all_is_what_a_user_may_want_of_all_others() -> None:
