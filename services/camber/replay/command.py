@@ -128,6 +128,8 @@ def _compile(inputs: DriveInputs, *, quiet: bool) -> None:
 def _write_issues(folder: Path, inputs: DriveInputs, output: DriveOutput) -> None:
     """Write the services' issues, one log file each, with the seconds since the start of the drive."""
     folder.mkdir(exist_ok=True)
+    for path in folder.glob("*.log"):  # of an earlier run
+        path.unlink()
     lines: dict[str, list[str]] = {}
     for issue in output.issues:
         at_s = (issue.time_ns - inputs.tick_times_ns[0]) / 1e9

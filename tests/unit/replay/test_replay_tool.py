@@ -176,3 +176,13 @@ def test_a_map_that_cannot_be_read_costs_confirmations_and_not_the_replay(tmp_pa
     assert replay.main([str(manifest), "--out", str(out), "--set", "end_s=3", "--quiet"]) == 0
     rows = json.loads((out / "summary.json").read_text("utf-8"))["verdicts"]["by_reason"]
     assert {row["verdict"] for row in rows} == {"unknown"}
+    assert "map" in (out / "logs" / "map_server.log").read_text("utf-8")
+
+
+def test_a_replay_leaves_no_log_of_an_earlier_one(tmp_path: Path) -> None:
+    manifest, out = write_short_drive(tmp_path / "drive", 1), tmp_path / "out"
+    (out / "logs").mkdir(parents=True)
+    (out / "drive.json").write_text("{}")
+    (out / "logs" / "nobody.log").write_text("before the drive\n")
+    assert replay.main([str(manifest), "--out", str(out), "--set", "end_s=3", "--quiet"]) == 0
+    assert "nobody.log" not in [path.name for path in (out / "logs").iterdir()]
