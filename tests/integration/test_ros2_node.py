@@ -77,6 +77,10 @@ DIAGNOSTICS = (
     "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
 )
 TF = TF_STATIC.replace("42/tf_static", "42/tf")
+CLOCK_TIME = (
+    "42/clock/rosgraph_msgs::msg::dds_::Clock_/"
+    "RIHS01_692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564"
+)
 GNSS_POSE = f"42/sensing/gnss/pose_with_covariance/{POSE_TYPE}"
 NDT_POSE = f"42/localization/pose_estimator/ndt_scan_matcher/pose_with_covariance/{POSE_TYPE}"
 SELECTED_POSE = f"42/localization/pose_estimator/pose_with_covariance/{POSE_TYPE}"
@@ -309,6 +313,7 @@ class Bench:
         self.gnss = node.advertise(14, GNSS_POSE)
         self.ndt = node.advertise(15, NDT_POSE)
         self.imu = node.advertise(16, IMU)
+        self.clock = node.advertise(17, CLOCK_TIME)
 
     def statuses(self) -> list[int]:
         return [message.status.status for message, _, _ in self.node.received[FIX]]
@@ -579,6 +584,37 @@ def test_diagnostics_come_each_second_with_services_and_the_last_reason(bench: B
     n = len(bench.node.received[DIAGNOSTICS])
     time.sleep(3.3)
     assert 2 <= len(bench.node.received[DIAGNOSTICS]) - n <= 4
+
+
+def test_with_simulated_time_stamps_are_those_of_the_clock_of_the_graph(tmp_path: Path) -> None:
+    """As of `ros2 bag play --clock` with a bag of 2023."""
+    ahead_ns = time.time_ns() - 1_700_000_000 * 10**9
+
+    def give() -> None:
+        unix_ns = time.time_ns() - ahead_ns
+        stamp = new("builtin_interfaces/msg/Time", sec=unix_ns // 10**9, nanosec=unix_ns % 10**9)
+        bench.clock(new("rosgraph_msgs/msg/Clock", clock=stamp))
+        bench.odom(odometry(unix_ns, 7.5))
+        judged.append(unix_ns_of(bench.judge.judge(confirmed=True)))
+
+    def stamps_ns() -> list[int]:
+        stamps = [fix.header.stamp for fix, _, _ in bench.node.received[FIX] if fix.status.status >= 0]
+        return [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]
+
+    judged: list[int] = []
+    with running(tmp_path, "use_sim_time = true") as bench:
+        wait_until(
+            lambda: any("/%clock/" in token and "/MS/" in token for token in bench.node.tokens()),
+            timeout_s=60.0,
+            why="no subscription of the clock",
+        )
+        assert bench.node.received[FIX] == []
+        with Subscription("motion", vehicle="car", connect=[bench.endpoint]) as subscription:
+            message = bench.publish_until(give, lambda: subscription.next(0.0), "no motion")
+        assert abs(unix_ns_of(message.time_ns) - time.time_ns()) < 20 * 10**9
+        bench.publish_until(give, stamps_ns, "no fix")
+        first_ns = stamps_ns()[0]
+        assert min(abs(unix_ns - ahead_ns - first_ns) for unix_ns in judged) < 10**9
 
 
 def test_autoware_gets_gnss_poses_of_confirmed_fixes_and_ndt_poses_else(tmp_path: Path) -> None:

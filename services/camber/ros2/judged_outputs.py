@@ -18,7 +18,8 @@ from camber.formats.ros.judged_messages import (
     pose_message,
     usable_place,
 )
-from camber.formats.ros.message_types import header_at, new_message
+from camber.formats.ros.message_types import header_at, new_message, stamp_unix_ns
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import lever_arm_enu
 from camber.schemas.base import Float64
@@ -134,6 +135,15 @@ def diagnostics(
     values = [new_message("diagnostic_msgs/msg/KeyValue", key=key, value=text) for key, text in facts.items()]
     status.append(replace(node, values=values))
     return new_message("diagnostic_msgs/msg/DiagnosticArray", header=header_at(now_ns, ""), status=status)
+
+
+def with_stamps_before(message: Any, ahead_ns: int) -> Any:
+    """Return a message, one that `transform_message` or a function above gives, with its stamps so much earlier."""
+    if hasattr(message, "transforms"):
+        return replace(message, transforms=[with_stamps_before(one, ahead_ns) for one in message.transforms])
+    seconds, nanoseconds = divmod(stamp_unix_ns(message) - ahead_ns, NS_PER_SECOND)
+    stamp = new_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return replace(message, header=replace(message.header, stamp=stamp))
 
 
 def child_frame(antenna: LeverArm | None, base_frame: str) -> str:

@@ -40,14 +40,14 @@ class SensorTopic:
     frame_id: str = ""
     counts: Counter[str] = field(default_factory=Counter)
 
-    def message(self, content: Any, now_ns: int, sensor: str) -> Message | None:
-        """Return what a ROS message says, None where that is nothing.
+    def message(self, content: Any, now_ns: int, sensor: str, *, ahead_ns: int = 0) -> Message | None:
+        """Return what a ROS message says, None where that is nothing. `ahead_ns`: Unix time less the graph's.
 
         Raises StampError for a stamp that is older than the channel's age limit or in the future, FormatError for
         what cannot be read.
         """
         try:
-            message = self._converted(content, sensor)
+            message = self._converted(content, sensor, ahead_ns)
         except ValidationError as error:
             field = first_refused(error, whole="message")
             raise FormatError(self.name, field.name, field.expected, actual=field.value) from None
@@ -58,14 +58,14 @@ class SensorTopic:
         self.frame_id = str(getattr(content, "child_frame_id", content.header.frame_id))[:100]
         return message
 
-    def _converted(self, content: Any, sensor: str) -> Message | None:
+    def _converted(self, content: Any, sensor: str, ahead_ns: int) -> Message | None:
         if self.channel == "sweep":
             cloud = point_cloud2(content, self.kind)
             layout = point_layout(cloud, self.name)
             if layout.time is None:
                 self.counts["without_point_times"] += 1
-            return sweep_from_point_cloud2(cloud, layout, self.name, sensor)
-        time_ns = gps_time_ns(stamp_unix_ns(content), self.name)
+            return sweep_from_point_cloud2(cloud, layout, self.name, sensor, ahead_ns=ahead_ns)
+        time_ns = gps_time_ns(stamp_unix_ns(content) + ahead_ns, self.name)
         if self.channel == "motion":
             return motion_of(content, time_ns)
         if self.channel == "imu":

@@ -21,6 +21,7 @@ from camber.formats.ros.static_frames import StaticFrames
 from camber.geodesy.gps_time import NS_PER_SECOND, unix_ns_from_gps_ns
 from camber.geodesy.local_frame import LocalFrame
 from camber.ros2.graph import RosGraph, RosPublisher, RosSubscription
+from camber.ros2.graph_time import GraphTime
 from camber.ros2.judged_outputs import (
     FixOutput,
     base_pose,
@@ -29,6 +30,7 @@ from camber.ros2.judged_outputs import (
     odometry_message,
     origin_text,
     transform_message,
+    with_stamps_before,
 )
 from camber.ros2.pose_selection import PoseLimits, PoseSelection
 from camber.ros2.rmw_zenoh import GraphNode
@@ -49,6 +51,7 @@ _NO_FIX_AFTER_NS = NS_PER_SECOND // 2
 """Without a fix. Chosen: five epochs, so that NO_FIX comes well within a second of the last one."""
 _DIAGNOSTICS_EVERY_S = 1.0  # as diagnostic_updater publishes
 _TF_TYPE = "tf2_msgs/msg/TFMessage"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 class Ros2Service(Service[Ros2Settings]):
@@ -74,8 +77,11 @@ class Ros2Service(Service[Ros2Settings]):
         self._diagnosed_s = -math.inf
         self._silent: frozenset[str] = frozenset()  # topics with a publisher
         self._publishers = self._advertised()
+        self._time = GraphTime(simulated=settings.use_sim_time)
+        self._clock = self._graph.subscribe(_CLOCK, _CLOCK_TYPE, limit=1) if settings.use_sim_time else None
         self._sensors = self._subscribed()
         self._given_s = {topic.name: time.monotonic() for topic, _ in self._sensors}
+        self._given_s[_CLOCK] = time.monotonic()
         self._static = self._graph.subscribe(
             "/tf_static", _TF_TYPE, limit=_STATIC_FRAMES, history=_STATIC_FRAMES
         )
@@ -133,6 +139,7 @@ class Ros2Service(Service[Ros2Settings]):
 
     def advance(self, now_ns: int) -> None:
         """Give to the bus what has come from ROS, and to ROS what is due by the clock."""
+        self._take_clock(now_ns)
         self._take_static_frames()
         for topic, subscription in self._sensors:
             self._take_sensor(topic, subscription, now_ns)
@@ -181,6 +188,15 @@ class Ros2Service(Service[Ros2Settings]):
         if "tf" in self._publishers:
             self._publish("tf", transform_message(pose, frame_id))
 
+    def _take_clock(self, now_ns: int) -> None:
+        """Take the newest time of `/clock`, where the graph's time is simulated."""
+        for message in [] if self._clock is None else self._messages(self._clock):
+            self._given_s[_CLOCK] = time.monotonic()
+            clock_ns = int(message.clock.sec) * NS_PER_SECOND + int(message.clock.nanosec)
+            step_s = self._time.set(clock_ns, unix_ns_from_gps_ns(now_ns))
+            if step_s is not None:
+                self.bus.issue("ros_clock_stepped", f"{step_s:+.3f} s off the time expected")
+
     def _take_static_frames(self) -> None:
         for message in self._messages(self._static):
             try:
@@ -193,9 +209,13 @@ class Ros2Service(Service[Ros2Settings]):
                 self._note(f"lever_arm_{topic.channel}", text)
 
     def _take_sensor(self, topic: SensorTopic, subscription: RosSubscription, now_ns: int) -> None:
+        ahead_ns = self._time.ahead_ns
         for content in self._messages(subscription):
+            if ahead_ns is None:
+                continue
             try:
-                message = topic.message(content, now_ns, self.settings.inputs.lidar_name)
+                name = self.settings.inputs.lidar_name
+                message = topic.message(content, now_ns, name, ahead_ns=ahead_ns)
             except StampError as error:
                 self.bus.issue("ros_stamp_refused", str(error))
             except FormatError as error:
@@ -215,10 +235,11 @@ class Ros2Service(Service[Ros2Settings]):
         for name, subscription in self._poses.items():
             for pose in self._messages(subscription):
                 if name == "gnss":
-                    selected = self._selection.gnss(pose, stamp_unix_ns(pose), now_unix_ns)
+                    stamp_ns = stamp_unix_ns(pose) + (self._time.ahead_ns or 0)
+                    selected = self._selection.gnss(pose, stamp_ns, now_unix_ns)
                 else:
                     selected = self._selection.ndt(pose, now_unix_ns)
-                self._publish("autoware", selected)
+                self._publish("autoware", selected, stamped=True)
 
     def _messages(self, subscription: RosSubscription) -> list[Any]:
         refused = subscription.refused
@@ -227,9 +248,12 @@ class Ros2Service(Service[Ros2Settings]):
             self.bus.issue("ros_message_refused", subscription.refusal)
         return messages
 
-    def _publish(self, name: str, message: Any | None) -> None:
-        if message is not None:
-            self._publishers[name].publish(message)
+    def _publish(self, name: str, message: Any | None, *, stamped: bool = False) -> None:
+        """Publish a message with the graph's time; `stamped`: it has that already."""
+        ahead_ns = self._time.ahead_ns
+        if message is not None and ahead_ns is not None:
+            graph_message = message if stamped or not ahead_ns else with_stamps_before(message, ahead_ns)
+            self._publishers[name].publish(graph_message)
 
     def _note(self, name: str, text: str) -> None:
         if self._facts.get(name) != text:
@@ -251,18 +275,20 @@ class Ros2Service(Service[Ros2Settings]):
 
     def _report_silent(self) -> None:
         now_s, silent = time.monotonic(), set[str]()
-        for topic, subscription in self._sensors:
-            publishers = self._graph.publishers_of(topic.name)
-            if not publishers:
-                self._given_s[topic.name] = now_s
-            if now_s - self._given_s[topic.name] <= self.settings.inputs.silence_s:
+        subscriptions = [subscription for _, subscription in self._sensors]
+        for subscription in subscriptions if self._clock is None else [self._clock, *subscriptions]:
+            name = subscription.topic.name
+            publishers = self._graph.publishers_of(name)
+            if not publishers and subscription is not self._clock:  # without simulated time nothing works
+                self._given_s[name] = now_s
+            if now_s - self._given_s[name] <= self.settings.inputs.silence_s:
                 continue
-            silent.add(topic.name)
-            if topic.name in self._silent:
+            silent.add(name)
+            if name in self._silent:
                 continue
             expected = subscription.topic.dds_type, subscription.topic.type_hash
             others = {publisher[1:] for publisher in publishers} - {expected}
-            text = f"{topic.name}: nothing usable for {self.settings.inputs.silence_s:g} s"
+            text = f"{name}: nothing usable for {self.settings.inputs.silence_s:g} s"
             if others:
                 text += f"; published as {' '.join(min(others))}, expected {' '.join(expected)}"
             self.bus.issue("ros_topic_silent", text)

@@ -115,6 +115,10 @@ class Ros2Settings(ServiceSettings):
     distribution: Literal["jazzy", "humble"] = Field(
         "jazzy", description="jazzy: also all later; humble: types without hashes"
     )
+    use_sim_time: bool = Field(
+        False,
+        description="take the time of `/clock`, simulated at the rate of real time, for that of all stamps",
+    )
     node: str = Field("camber", pattern=rf"^{_NAME}$", max_length=100, description="name of the node")
     inputs: RosInputs = Field(default_factory=RosInputs, description="what is read")
     outputs: RosOutputs = Field(default_factory=RosOutputs, description="what is published")

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camber.formats.ros.judged_messages import fix_message, verdict_message
+from camber.formats.ros.message_types import message_types, stamp_unix_ns
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.ros2.judged_outputs import (
@@ -19,6 +21,7 @@ from camber.ros2.judged_outputs import (
     odometry_message,
     origin_text,
     transform_message,
+    with_stamps_before,
 )
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import LeverArm
@@ -174,3 +177,27 @@ def test_diagnostics_name_what_is_absent() -> None:
 def test_the_origin_is_written_as_a_setting() -> None:
     text = origin_text(LocalFrame(math.radians(35.123456789), math.radians(-137.5), 40.0))
     assert text == "latitude_deg = 35.123456789, longitude_deg = -137.500000000, height_m = 40.000"
+
+
+@pytest.mark.parametrize("ahead_ns", [1, 3 * NS // 2, NOW_NS])
+def test_stamps_are_shifted_to_the_time_of_the_graph_and_nothing_else(ahead_ns: int) -> None:
+    pose = base_pose(position(yaw_rad=0.5), FRAME, LeverArm(x_m=1.0, y_m=0.0, z_m=2.0), "map")
+    messages = [
+        verdict_message(verdict("confirmed")),
+        fix_message(verdict("confirmed")),
+        pose,
+        odometry_message(pose, "base_link"),
+        diagnostics(position(), {}, {}, now_ns=NOW_NS, vehicle="car"),
+    ]
+    stamps_ns = [stamp_unix_ns(message) for message in messages]
+    for message, stamp_ns in zip(messages, stamps_ns, strict=True):
+        shifted = with_stamps_before(message, ahead_ns)
+        assert stamp_unix_ns(shifted) == stamp_ns - ahead_ns
+        assert stamp_unix_ns(message) == stamp_ns
+        assert serialized(with_stamps_before(shifted, -ahead_ns)) == serialized(message)
+    (transform,) = with_stamps_before(transform_message(pose, "base_link"), ahead_ns).transforms
+    assert stamp_unix_ns(transform) == stamp_unix_ns(pose) - ahead_ns
+
+
+def serialized(message: Any) -> bytes:
+    return bytes(message_types().serialize_cdr(message, message.__msgtype__))

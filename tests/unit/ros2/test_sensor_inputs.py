@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from camber.formats.errors import FormatError
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.formats.ros.message_types import header_at, new_message
+from camber.formats.ros.message_types import header_at, new_message, stamp_unix_ns
 from camber.formats.ros.static_frames import StaticFrames
 from camber.ros2.sensor_inputs import SensorTopic, StampError, lever_arm_settings
 from camber.schemas.gnss import ReceiverBytes
@@ -222,3 +223,29 @@ def test_without_transforms_there_is_no_lever_arm() -> None:
     motion = motion_topic()
     motion.frame_id = "top"
     assert lever_arm_settings(frames("top"), "base_link", motion) is None
+
+
+@pytest.mark.parametrize("graph_ns", [0, 1_300_000_000 * NS])
+@pytest.mark.parametrize("channel", ["motion", "sweep", "receiver_bytes"])
+def test_stamps_of_simulated_time_are_shifted_before_they_are_checked(channel: str, graph_ns: int) -> None:
+    kinds = {
+        "motion": ("geometry_msgs/msg/TwistStamped", twist),
+        "sweep": ("sensor_msgs/msg/PointCloud2", cloud),
+        "receiver_bytes": (FIX, fix),
+    }
+    kind, make = kinds[channel]
+    topic = SensorTopic(name="/in", kind=kind, channel=channel)
+    content = make(NOW_NS)
+    stamp_ns = stamp_unix_ns(content)
+    seconds, nanoseconds = divmod(graph_ns, NS)
+    stamp = new_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    content = replace(content, header=replace(content.header, stamp=stamp))
+    message = topic.message(content, NOW_NS, "lidar", ahead_ns=stamp_ns - graph_ns)
+    assert message is not None
+    assert message.time_ns == NOW_NS
+    if isinstance(message, ReceiverBytes):
+        (solution,) = PosDecoder("line").feed(message.payload.tobytes())
+        assert isinstance(solution, ReceiverSolution)
+        assert solution.time_ns == NOW_NS
+    with pytest.raises((StampError, FormatError)):
+        topic.message(content, NOW_NS, "lidar")

@@ -105,11 +105,14 @@ def point_layout(message: Any, topic: str) -> PointLayout:
 
 # What is beyond a type or no number is left out or refused.
 @np.errstate(over="ignore", invalid="ignore")
-def sweep_from_point_cloud2(message: Any, layout: PointLayout, topic: str, sensor: str) -> Sweep:
+def sweep_from_point_cloud2(
+    message: Any, layout: PointLayout, topic: str, sensor: str, *, ahead_ns: int = 0
+) -> Sweep:
     """Return the sweep of a PointCloud2 with such a layout, in the sensor's frame.
 
-    Without times of points the message's stamp is the sweep's end and all offsets are zero. Raises FormatError for a
-    damaged message, one without points, and one whose points are a second or more off its stamp.
+    `ahead_ns`: Unix time less the time of stamps. Without times of points the message's stamp is the sweep's end and
+    all offsets are zero. Raises FormatError for a damaged message, one without points, and one whose points are a
+    second or more off its stamp.
     """
     points = _points(message, layout.row, topic)
     xyz = np.column_stack([points[axis] for axis in "xyz"]).astype(np.float32)
@@ -125,7 +128,7 @@ def sweep_from_point_cloud2(message: Any, layout: PointLayout, topic: str, senso
     intensity = _intensity(points)
     end_ns = int(at_ns[order[-1]])
     return Sweep(
-        time_ns=gps_time_ns(stamp_ns + end_ns, topic),
+        time_ns=gps_time_ns(stamp_ns + end_ns + ahead_ns, topic),
         sensor=sensor,
         points_m=xyz[order],
         intensity=intensity[order],
