@@ -19,9 +19,13 @@ class StaticFrames:
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Float64]] = {}
 
+    @property
+    def names(self) -> frozenset[str]:
+        """All frames."""
+        return frozenset(self._parents) | {parent for parent, _ in self._parents.values()}
+
     def __contains__(self, frame: str) -> bool:
-        name = _name(frame)
-        return name in self._parents or name in {parent for parent, _ in self._parents.values()}
+        return _name(frame) in self.names
 
     def add(self, message: Any) -> None:
         """Add the transforms of a TFMessage. Raises ValueError for one that is no rigid motion."""

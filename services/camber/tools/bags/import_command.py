@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from camber.formats.errors import FormatError
 from camber.formats.ros.bag_reader import open_bag
 from camber.schemas.drive import load_manifest
 from camber.tools.bags.drive_import import DriveParts, TopicTally, static_frames, write_drive_files
@@ -51,6 +52,9 @@ def import_bag(paths: Sequence[Path], out: Path, names: TopicNames, *, base_fram
         folder.mkdir()
         topics, frames = choose_topics(bag.topics, names, bag_name), static_frames(bag)
         default = next((frame for frame in _BASE_FRAMES if frame in frames), _BASE_FRAMES[-1])
+        if base_frame is not None and frames.names and base_frame not in frames:
+            expected = f"one of /tf_static: {', '.join(sorted(frames.names))}"
+            raise FormatError("--base-frame", "frame", expected, actual=base_frame)
         parts = DriveParts(
             topics=topics,
             tallies={name: TopicTally(topic=bag.topics[name]) for name in topics.names},

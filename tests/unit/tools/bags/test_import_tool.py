@@ -280,6 +280,21 @@ def test_a_topic_that_is_not_there_is_one_line_with_those_that_are(tmp_path: Pat
     assert line.endswith("the bag has none")
 
 
+def test_a_base_frame_that_is_not_there_is_one_line_with_those_that_are(
+    tmp_path: Path, refused: Refused
+) -> None:
+    def fill(bag: BagWriter) -> None:
+        bag.static_transforms(UNIX_NS, {"gps": LeverArm(x_m=1.0, y_m=0.0, z_m=2.0)}, {})
+        bag.nav_sat_fix("/fix", UNIX_NS, SOLUTION)
+
+    bag = made(tmp_path / "bag", fill)
+    line = refused(import_command.main, bag, "--out", tmp_path / "drive", "--base-frame", "rear_axle")
+    expected = "--base-frame: frame is 'rear_axle', expected one of /tf_static: base_link, gps"
+    assert line == f"camber import: {expected}"
+    assert not (tmp_path / "drive").exists()
+    imported(bag, tmp_path / "drive", "--base-frame", "/base_link")
+
+
 def test_a_bag_of_other_things_is_one_line(tmp_path: Path, refused: Refused) -> None:
     def fill(bag: BagWriter) -> None:
         bag.write("/note", "std_msgs/msg/String", UNIX_NS, bag.new("std_msgs/msg/String", data="x"))
