@@ -364,7 +364,7 @@ def _pos(random: Random) -> list[list[bytes]]:
 
 
 def _rinex(random: Random) -> list[list[bytes]]:
-    """Header, epochs, and an event with header lines, in versions 3 and 2."""
+    """Header, epochs, and an event with header lines, in versions 3 (with times in UTC, too) and 2."""
     rng = np.random.default_rng(random.getrandbits(32))
     station = StationHeader(marker="FUZZ", position_ecef_m=(-3.8e6, 3.5e6, 3.7e6))
     files = []
@@ -373,8 +373,10 @@ def _rinex(random: Random) -> list[list[bytes]]:
         parts = list(observation_lines(epochs, station))
         parts.insert(3, f">{'':30}4  2\n{'':60}COMMENT\n{'EVENT':<60}MARKER NAME\n")
         files.append([part.encode() for part in parts])
+    in_utc = [part.replace(b"GPS         TIME OF", b"GLO         TIME OF") for part in files[0]]
     return [
         *files,
+        in_utc,
         *(_rinex_2(random, types) for types in (("C1", "L1"), ("C1", "P1", "L1", "C2", "P2", "L2", "S1"))),
     ]
 
