@@ -44,15 +44,24 @@ _STRICT = re.compile(r",\s*(strict=\w+)?\s*\)")
 def main() -> int:
     """Exit code 1 where fewer than 95 % were noticed, or one that was not has no explanation."""
     parser = argparse.ArgumentParser(prog="python -m mutation.run", description=__doc__)
-    parser.add_argument("--only", action="append", default=[], help="module, such as learning; repeatable")
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        help="module, such as residuals or learning.residuals; repeatable",
+    )
     parser.add_argument("--out", type=Path, default=Path("out/mutation"), help="folder, made anew")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     args = parser.parse_args()
     modules = sorted(
         ".".join(path.relative_to(_ROOT / "services/camber" / _PACKAGE).with_suffix("").parts)
         for path in (_ROOT / "services/camber" / _PACKAGE).rglob("*.py")
-        if path.name not in _PROCESS and (not args.only or path.stem in args.only)
+        if path.name not in _PROCESS
     )
+    if args.only:
+        modules = [module for module in modules if {module, module.rpartition(".")[2]} & set(args.only)]
+    if not modules:
+        parser.error(f"--only: no module of camber.{_PACKAGE} is called {' or '.join(args.only)}")
     folder, began_s = args.out.resolve(), time.monotonic()
     _lay_out(folder, modules)
     command = [str(Path(sys.executable).parent / "mutmut")]
