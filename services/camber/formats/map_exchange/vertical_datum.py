@@ -34,12 +34,13 @@ Floats = NDArray[np.float64]
 class VerticalDatum:
     """Conversion of heights of a vertical datum to ellipsoidal heights.
 
-    `how`: description. `surrogate`: not empty if the user is responsible for the conversion. `sigma_m`: σ that the
-    conversion adds. `max_extent_m`: largest extent of a map.
+    `how`: description. `convert`: from latitude, longitude [rad] and height [m], (n,) each, NaN where it is unknown.
+    `surrogate`: not empty if the user is responsible for the conversion. `sigma_m`: σ that the conversion adds.
+    `max_extent_m`: largest extent of a map.
     """
 
     how: str
-    _convert: Callable[[Floats, Floats, Floats], Floats]
+    convert: Callable[[Floats, Floats, Floats], Floats]
     surrogate: str = ""
     sigma_m: float = 0.0
     max_extent_m: float = math.inf
@@ -56,7 +57,7 @@ class VerticalDatum:
         if extent_m > self.max_extent_m:
             expected = f"a map of at most {self.max_extent_m / 1e3:.0f} km for one undulation"
             raise FormatError(file, "extent", expected, actual=f"{extent_m / 1e3:.1f} km")
-        converted = self._convert(latitude_rad, longitude_rad, height_m)
+        converted = self.convert(latitude_rad, longitude_rad, height_m)
         wrong = ~np.isfinite(converted)
         if wrong.any():
             k = int(np.argmax(wrong))
@@ -73,7 +74,7 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
     raises FormatError with the missing file and the folders that PROJ searches.
     """
     if name.strip().lower() == ELLIPSOIDAL:
-        return VerticalDatum(how="ellipsoidal heights", _convert=lambda latitude, longitude, height: height)
+        return VerticalDatum(how="ellipsoidal heights", convert=lambda latitude, longitude, height: height)
     vertical = crs_of(name, file, FIELD, "ellipsoidal or a vertical CRS (EPSG:7837, EGM2008 height, …)")
     if not vertical.is_vertical:
         raise FormatError(file, FIELD, "a vertical CRS", actual=f"{name} ({vertical.type_name})")
@@ -85,7 +86,7 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
         _, _, converted = step.transform(longitude_deg, latitude_deg, height_m)
         return np.asarray(converted, np.float64)
 
-    return VerticalDatum(how=vertical.name, _convert=convert)
+    return VerticalDatum(how=vertical.name, convert=convert)
 
 
 def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> VerticalDatum:
@@ -103,7 +104,7 @@ def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> Ver
     how = f"geoid taken as {undulation_m:+.3f} ± {sigma_m:.3f} m above the ellipsoid everywhere ({source.strip()})"
     return VerticalDatum(
         how=how,
-        _convert=lambda latitude, longitude, height: height + undulation_m,
+        convert=lambda latitude, longitude, height: height + undulation_m,
         surrogate=f"heights: {how}",
         sigma_m=sigma_m,
         max_extent_m=MAX_EXTENT_M,

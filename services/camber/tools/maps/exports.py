@@ -24,7 +24,7 @@ from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.tile_grid import tile_frame, tiles_of
 from camber.schemas.road import CloudTile, Layer
 from camber.tools.maps.geojson import geojson_text
-from camber.tools.maps.importers.rasters import quiet_rasterio
+from camber.tools.maps.importers.height_raster import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
 from camber.tools.maps.release_at import add_release, named_release
 from camber.tools.options.error_report import report_failures

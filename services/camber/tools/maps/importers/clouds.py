@@ -27,7 +27,7 @@ from camber.road_map.cloud_tiles import cloud_tiles, first_of_voxels
 from camber.tools.maps.importers import ground_points
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.rasters import horizontal_and_vertical, to_horizontal
+from camber.tools.maps.importers.height_raster import horizontal_and_vertical, to_horizontal
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, surfaces_along
 from camber.tools.maps.importers.survey_drive import DriveRoads, RoadTrack, drive_roads
 from camber.tools.options.number_options import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.vertical_datum import (
+    ELLIPSOIDAL,
     FIELD,
     MAX_UNDULATION_M,
     VerticalDatum,
@@ -14,6 +16,7 @@ from camber.formats.map_exchange.vertical_datum import (
     vertical_datum,
 )
 from camber.tools.maps.importers.checks.level_heights import level_sigma_of
+from camber.tools.maps.importers.geoid_grid import geoid_grid
 from camber.tools.maps.importers.lane_map import LaneSurvey
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 from camber.tools.options.parsers import add_with_default
@@ -31,6 +34,8 @@ def add_height_arguments(parser: argparse.ArgumentParser, *, of_lanes: bool = Fa
     add("--geoid-undulation-m", type=bounds, metavar="N", help=text)
     add("--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help="its σ, which goes into that of the map")
     add("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
+    text = "instead of --vertical-datum: grid of the geoid that heights are above (.gtx, .tif, .isg, GSIGEO's .asc)"
+    add("--geoid", type=Path, metavar="FILE", help=text)
     text = "σ of the heights of roads in the input"
     add("--sigma-m", type=HEIGHT_SIGMA, required=True, metavar="S", help=text)
     if of_lanes:
@@ -52,6 +57,12 @@ def lane_survey(args: argparse.Namespace, vertical: VerticalDatum) -> LaneSurvey
 def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) -> VerticalDatum:
     """What `args` say, or else the map itself (`stated`); FormatError where neither does, or they contradict."""
     constant = (args.geoid_undulation_m, args.geoid_sigma_m, args.geoid_source)
+    if args.geoid is not None:
+        if any(part is not None for part in (*constant, args.vertical_datum)):
+            raise FormatError(file, FIELD, "--geoid without --vertical-datum and --geoid-undulation-m")
+        if stated == ELLIPSOIDAL:
+            raise FormatError(file, FIELD, "no --geoid for what the file says", actual=stated)
+        return geoid_grid(args.geoid, args.datum)
     if any(part is not None for part in constant):
         if any(part is None for part in constant) or args.vertical_datum is not None:
             expected = "all of --geoid-undulation-m, --geoid-sigma-m, --geoid-source without --vertical-datum"

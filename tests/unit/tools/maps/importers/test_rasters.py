@@ -12,7 +12,7 @@ import pytest
 
 from camber.road_map.release import read_release
 from camber.tools.maps.importers import rasters
-from camber.tools.maps.importers.rasters import quiet_rasterio
+from camber.tools.maps.importers.height_raster import quiet_rasterio
 from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
