@@ -102,7 +102,8 @@ def test_pictures_at_every_size(here: Here, size: str) -> None:
     page = here.shown.page
     page.set_viewport_size(SIZES[size])
     page.wait_for_timeout(1000)
-    page.screenshot(path=PICTURES / f"{size}.png")
+    # Eight million pixels are drawn by software while other tests compute: 30 s were once too few.
+    page.screenshot(path=PICTURES / f"{size}.png", timeout=120_000)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "something is beyond the edge"
     page.keyboard.press("t")
 
