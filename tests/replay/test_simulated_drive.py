@@ -36,9 +36,10 @@ def test_every_epoch_and_every_sensor_is_on_the_bus(out: Path) -> None:
     assert sorted(v.fix_id for v in verdicts) in (fixes, fixes[:-1])
 
 
-def test_the_summary_has_the_truth_and_rests_on_no_surrogate(out: Path) -> None:
+def test_the_summary_has_the_truth_and_names_the_simulated_map_alone(out: Path) -> None:
     summary = summary_of(out)
-    assert summary["surrogates"] == []
+    (surrogate,) = summary["surrogates"]
+    assert surrogate.startswith("map: simulated survey")
     assert summary["truth"] is True
 
 
