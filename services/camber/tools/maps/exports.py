@@ -49,7 +49,8 @@ def main(argv: Sequence[str]) -> int:
     args = parser.parse_args(argv)
 
     def work() -> str:
-        export = _EXPORTERS[args.to]
+        check, export = _EXPORTERS[args.to]
+        check(args.out)  # before a release of minutes is read
         return "\n".join(export(named_release(args), str(args.release), args.out, args.cell_m))
 
     return report_failures(_PROG, args.out, work)
@@ -59,7 +60,6 @@ def export_geojson(release: Release, name: str, out: Path, _: float | None) -> l
     """Write one file."""
     datum = crs_of(release.manifest.datum, name, "datum", "one that PROJ knows").geodetic_crs.name
     surfaces, links = release.road_surfaces(), release.road_links()
-    check_output_file(out)  # it may have been edited since
     write_file(out, geojson_text(surfaces, links).encode())
     is_wgs84 = datum == "WGS 84" or aligned_to_wgs84(datum)
     remark = "" if is_wgs84 else f"; positions are of {datum}, which GeoJSON cannot express"
@@ -80,7 +80,6 @@ def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None)
     latitude_rad = float(np.median(surfaces.latitude_rad))
     cell_rad = np.array([side_m / prime_vertical_radius_m(latitude_rad) / np.cos(latitude_rad),
                          side_m / meridian_radius_m(latitude_rad)])  # fmt: skip
-    check_output_folder(out, "level_*.tif")
     out.mkdir(parents=True, exist_ok=True)
     lines = []
     for level in np.unique(surfaces.level).tolist():
@@ -154,7 +153,6 @@ def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> 
     points = np.concatenate([np.zeros((0, 3)), *places])
     if not len(points):
         raise FormatError(name, "clouds", "points of an environment or a road")
-    check_output_folder(out, "map_projector_info.yaml", "pointcloud_map")
     import pyproj
 
     origin_deg = np.floor(np.degrees(points[:, :2].min(axis=0)) * 100.0) / 100.0
@@ -198,8 +196,17 @@ def _points(tile: CloudTile) -> Floats:
     return points
 
 
-_EXPORTERS: dict[str, Callable[[Release, str, Path, float | None], list[str]]] = {
-    "geojson": export_geojson,
-    "geotiff": export_geotiff,
-    "pcd": export_pcd,
+def _check_geotiff_folder(out: Path) -> None:
+    check_output_folder(out, "level_*.tif")
+
+
+def _check_pcd_folder(out: Path) -> None:
+    check_output_folder(out, "map_projector_info.yaml", "pointcloud_map")
+
+
+_Exporter = Callable[[Release, str, Path, float | None], list[str]]
+_EXPORTERS: dict[str, tuple[Callable[[Path], None], _Exporter]] = {
+    "geojson": (check_output_file, export_geojson),  # checked too, as it may have been edited
+    "geotiff": (_check_geotiff_folder, export_geotiff),
+    "pcd": (_check_pcd_folder, export_pcd),
 }

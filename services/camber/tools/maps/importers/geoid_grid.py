@@ -7,8 +7,9 @@ datum: theirs is taken to be the release's, for which the user is responsible. T
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,16 @@ from camber.tools.maps.importers.lanes import Floats
 
 _WITHOUT_DATUM = frozenset({".gtx", ".isg"})
 _GSIGEO_UNKNOWN_M = 999.0  # source: format of GSIGEO2011, where there is no geoid
-_GSIGEO_HEAD_FIELDS = 8  # source: format of GSIGEO2011, first line
+_GSIGEO_HEAD_FIELDS = 7  # source: format of GSIGEO2000 and GSIGEO2011, first line up to its kind
 
 
 def geoid_grid(path: Path, datum: str) -> VerticalDatum:
     """Return the conversion with the grid of a file; FormatError for another datum or what is no geoid grid."""
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    opened = _opener(path, datum)
 
     def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
-        with _opened(path, datum) as grid:
+        with opened() as grid:
             undulation_m = grid.heights_m(latitude_rad, longitude_rad)
         wrong = np.abs(undulation_m) > MAX_UNDULATION_M
         if wrong.any():
@@ -37,20 +39,26 @@ def geoid_grid(path: Path, datum: str) -> VerticalDatum:
             raise FormatError(str(path), "grid", expected, actual=f"{undulation_m[wrong][0]:.3f} m")
         return height_m + undulation_m
 
-    with _opened(path, datum):
+    with opened():
         return VerticalDatum(how=f"geoid grid {path.name}, SHA-256 {digest}…", convert=convert)
 
 
-@contextmanager
-def _opened(path: Path, datum: str) -> Iterator[HeightRaster]:
+def _opener(path: Path, datum: str) -> Callable[[], AbstractContextManager[HeightRaster]]:
+    """Return what opens the grid. GSIGEO's text is read once, into a file in memory."""
     kind = path.suffix.lower()
-    with _gsigeo_dataset(path, datum) if kind == ".asc" else opened_raster(path) as dataset:
-        of_grid = dataset.crs.to_wkt() if kind in _WITHOUT_DATUM else datum
-        yield HeightRaster.of_dataset(dataset, file=str(path), band=1, datum=of_grid)
+    dataset_of = _gsigeo_in_memory(path, datum).open if kind == ".asc" else partial(opened_raster, path)
+
+    @contextmanager
+    def opened() -> Iterator[HeightRaster]:
+        with quiet_rasterio(), dataset_of() as dataset:
+            grid_datum = dataset.crs.to_wkt() if kind in _WITHOUT_DATUM and dataset.crs else datum
+            yield HeightRaster.of_dataset(dataset, file=str(path), band=1, datum=grid_datum)
+
+    return opened
 
 
-@contextmanager
-def _gsigeo_dataset(path: Path, datum: str) -> Iterator[Any]:
+def _gsigeo_in_memory(path: Path, datum: str) -> Any:
+    """Return rasterio's MemoryFile with the grid as a GeoTIFF."""
     import rasterio
 
     nodes_m, (south_deg, west_deg), (latitude_step_deg, longitude_step_deg) = read_gsigeo(path)
@@ -73,11 +81,10 @@ def _gsigeo_dataset(path: Path, datum: str) -> Iterator[Any]:
             south_deg + (rows - 0.5) * latitude_step_deg,
         ),
     }
-    with quiet_rasterio(), rasterio.MemoryFile() as memory:
-        with memory.open(**form) as written:
-            written.write(nodes_m[::-1], 1)
-        with memory.open() as dataset:
-            yield dataset
+    memory = rasterio.MemoryFile()
+    with quiet_rasterio(), memory.open(**form) as written:
+        written.write(nodes_m[::-1], 1)
+    return memory
 
 
 def read_gsigeo(path: Path) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
@@ -100,7 +107,7 @@ def read_gsigeo(path: Path) -> tuple[Floats, tuple[float, float], tuple[float, f
     plausible = (
         abs(south_deg) <= 90.0 and abs(west_deg) <= 360.0 and all(0.0 < step < 10.0 for step in steps_deg)
     )
-    if len(fields) < _GSIGEO_HEAD_FIELDS - 1 or not plausible or min(rows, columns) < 2:
+    if len(fields) < _GSIGEO_HEAD_FIELDS or not plausible or min(rows, columns) < 2:
         raise FormatError(file, "first line", expected, actual=head, line_number=1)
     try:
         nodes_m = np.array(body.split(), np.float64)

@@ -44,6 +44,33 @@ def asc(folder: Path, nodes_m: Any = NODES_M) -> Path:
     return path
 
 
+def isg(folder: Path) -> Path:
+    """International Service for the Geoid, format 2.0, as GDAL reads it: limits of nodes, rows from the north."""
+    path = folder / "town.isg"
+    head = {
+        "lat min": SOUTH_DEG,
+        "lat max": SOUTH_DEG + (ROWS - 1) * STEPS_DEG[0],
+        "lon min": WEST_DEG,
+        "lon max": WEST_DEG + (COLUMNS - 1) * STEPS_DEG[1],
+        "delta lat": STEPS_DEG[0],
+        "delta lon": STEPS_DEG[1],
+        "nrows": ROWS,
+        "ncols": COLUMNS,
+        "nodata": -9999,
+        "ISG format": 2.0,
+    }
+    lines = [
+        "begin_of_head ===",
+        "model name : town",
+        "units : meters",
+        *(f"{name} = {value!r}" for name, value in head.items()),
+        "end_of_head ===",
+    ]
+    lines += [" ".join(f"{undulation_m:.6f}" for undulation_m in row) for row in NODES_M[::-1]]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def geotiff(folder: Path, crs: str = "EPSG:6668") -> Path:
     path = folder / "town.tif"
     south_deg, (north_step_deg, east_step_deg) = SOUTH_DEG, STEPS_DEG
@@ -74,7 +101,7 @@ def undulations_m(path: Path) -> Any:
     return geoid_grid(path, "JGD2011").ellipsoidal_m(*place, height_m, "town.osm") - height_m
 
 
-@pytest.mark.parametrize("write", [gtx, asc, geotiff])
+@pytest.mark.parametrize("write", [gtx, asc, geotiff, isg])
 def test_the_undulation_is_that_which_proj_reads(write: Any, tmp_path: Path) -> None:
     peer = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
