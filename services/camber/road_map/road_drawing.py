@@ -26,7 +26,7 @@ def draw_roads(links: RoadLinks) -> Drawing:
         {
             "type": "Feature",
             "properties": {
-                "link_id": int(links.link_id[row]),
+                "link_id": str(links.link_id[row]),  # viewers keep 53 bits of a number
                 "level": int(links.level[row]),
                 "style": _STYLE,
             },

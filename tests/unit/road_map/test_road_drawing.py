@@ -28,7 +28,7 @@ def drawn(roads: RoadLinks) -> dict[str, Any]:
 
 def test_a_link_is_a_line_of_longitudes_and_latitudes() -> None:
     roads = drawn(links(2, 3))
-    assert [feature["properties"]["link_id"] for feature in roads["features"]] == [0, 1]
+    assert [feature["properties"]["link_id"] for feature in roads["features"]] == ["0", "1"]
     assert roads["features"][0]["geometry"]["coordinates"] == [
         [136.0, 35.0],
         [136.0001, 35.0],

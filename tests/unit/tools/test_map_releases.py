@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,14 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from camber.map_server.release_download import ReleaseDownload
-from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, Decisions
+from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, REASONS, Decisions
+from camber.map_update.fusion.surface_neighbours import build_neighbourhood
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import open_release, read_release
 from camber.road_map.store import MapStore
 from camber.tools.maps.command import main
 from support.release_world import KEY, Cloud, making, offsets
-from support.small_map import MADE_NS
+from support.small_map import MADE_NS, at, surface, surfaces
 
 
 @pytest.fixture
@@ -75,9 +78,9 @@ def test_a_roll_back_is_a_release_and_what_was_withdrawn_does_not_come_again(
     assert rolled.road_surfaces().heights_m[3][0, 0] == pytest.approx(50.05)
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
-    assert ReviewFolder(folder).apply(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
-        "nothing"
-    )
+    assert ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS).surfaces["decision"][
+        0
+    ] == DECISIONS.index("nothing")
     assert "ann: rolled back to version 9: a ferry was mapped" in output(
         capsys, "releases", folder, "--why", 5
     )
@@ -90,14 +93,52 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
     assert output(capsys, "review", folder) == "nothing is held\n"
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
-    ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
+    ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS)
     assert "+0.310 m" in output(capsys, "review", folder)
     assert "--why" in output(capsys, "review", folder, "--accept", 4, code=2)
     assert "one that is held" in output(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
     output(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
     assert "ben: new surface laid" in output(capsys, "review", folder, "--log")
-    judged = ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
+    judged = ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS)
     assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
+
+
+def held_and_pending(folder: Path) -> None:
+    """Held: surfaces 2 and 6, 800 m and 2400 m to the east; pending: 5, 2000 m."""
+    rows = [surface(k, 400.0 * k, link_id=2**61 + 1) for k in range(8)]
+    rows[6] |= {"surface_id": 2**61 + 3}
+    neighbourhood = build_neighbourhood(surfaces(rows), street_m=300.0, region_m=1000.0)
+    decided = np.zeros(3, DECISION)
+    decided["surface_id"], decided["offset_m"] = (2, 5, 2**61 + 3), (0.31, 0.09, -0.7)
+    decided["decision"] = [DECISIONS.index(name) for name in ("hold", "nothing", "hold")]
+    decided["reason"], decided["votes"] = REASONS.index("too_few_days"), 4
+    ReviewFolder(folder).apply(Decisions(surfaces=decided), MADE_NS, neighbourhood)
+
+
+def test_the_nearest_changes_come_first_with_their_places_and_roads(folder: Path, capsys: Any) -> None:
+    held_and_pending(folder)
+    lines = output(capsys, "review", folder).splitlines()
+    assert [line.split()[0] for line in lines] == ["surface", "2", str(2**61 + 3)]
+    latitude, longitude = map(math.degrees, at(800.0, 0.0))
+    assert lines[1].split()[1:5] == [f"{latitude:.6f}", f"{longitude:.6f}", "link", str(2**61 + 1)]
+    near = (f"{math.degrees(value):.7f}" for value in at(2390.0, 0.0))
+    lines = output(capsys, "review", folder, "--near", *near).splitlines()
+    assert [line.split()[:3] for line in lines[1:]] == [["10", "m", str(2**61 + 3)], ["1590", "m", "2"]]
+    (_, pending) = output(capsys, "review", folder, "--pending").splitlines()
+    assert pending.split()[0] == "5"
+    assert pending.endswith("too few days")
+
+
+def test_ids_in_geojson_keep_all_their_digits(folder: Path, capsys: Any) -> None:
+    held_and_pending(folder)
+    out = folder.parent / "held.geojson"
+    output(capsys, "review", folder, "--geojson", out)
+    features = json.loads(out.read_text())["features"]
+    assert [feature["id"] for feature in features] == ["2", str(2**61 + 3)]
+    assert features[1]["properties"]["link_id"] == str(2**61 + 1)
+    longitude, latitude = features[1]["geometry"]["coordinates"]
+    assert (math.radians(latitude), math.radians(longitude)) == pytest.approx(at(2400.0, 0.0), abs=1e-9)
+    assert "a new file" in output(capsys, "review", folder, "--geojson", out, code=2)
 
 
 def test_a_vehicle_goes_back_by_its_operator_only(folder: Path, capsys: Any) -> None:

@@ -54,6 +54,10 @@ DecisionReason = Literal[
     "step",
 ]
 REASONS: tuple[DecisionReason, ...] = get_args(DecisionReason)
+PENDING_REASONS: tuple[DecisionReason, ...] = (
+    "not_significant", "false_discovery", "too_few_vehicles", "too_few_days", "rests_on_few",
+)  # fmt: skip
+"""Of changes that more votes may publish."""
 
 DECISION = np.dtype(
     [
@@ -114,12 +118,25 @@ class PublicationSettings(BaseModel):
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Decisions:
     """Rows of DECISION (n,), sorted by surface id, one for each surface with votes; and rows of ALARM."""
 
     surfaces: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, DECISION))
     alarms: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, ALARM))
+    threshold_m: float = 0.0
+    """Changes up to this size are not published."""
+
+    def pending(self) -> NDArray[np.void]:
+        """Return the changes that more votes may publish, those of the most standard errors first."""
+        rows = self.surfaces
+        change_m = np.abs(rows["offset_m"] - rows["previous_correction_m"])
+        reasons = [REASONS.index(reason) for reason in PENDING_REASONS]
+        waits = (rows["decision"] == DECISIONS.index("nothing")) & np.isin(rows["reason"], reasons)
+        waits &= (rows["votes"] > 0) & (change_m > self.threshold_m)
+        ratio = change_m[waits] / np.maximum(rows["standard_error_m"][waits], _LEAST_SIGMA_M)
+        pending: NDArray[np.void] = rows[waits][np.argsort(-ratio, kind="stable")]
+        return pending
 
     def of(self, decision: Decision) -> NDArray[np.void]:
         """Return the surfaces with this decision."""
@@ -206,7 +223,7 @@ def decide(
     surfaces["sigma_m"] = np.where(
         publishes | withdraws | confirmed, np.maximum(remaining_m, _LEAST_SIGMA_M), np.nan
     )
-    return Decisions(surfaces, alarms)
+    return Decisions(surfaces=surfaces, alarms=alarms, threshold_m=settings.publish_threshold_m)
 
 
 def benjamini_hochberg(p_value: Floats, rate: float, considered: int) -> NDArray[np.bool_]:

@@ -115,7 +115,7 @@ class FusionCycle:
         before = self._builder.corrections()
         votes = merge_votes(self._store.votes_of())
         automatic = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
-        decisions = self._review.apply(automatic, now_ns)
+        decisions = self._review.apply(automatic, now_ns, self._fusion.neighbourhood)
         current = self._builder.current()
         root = self._builder.build(corrections_after(before, decisions), time_ns=now_ns)
         return FusionDecision(

@@ -1,8 +1,9 @@
 """Changes of the map held for review, and the decisions of reviewers.
 
-Two files beside the releases, in `review`, each with one kind of writer:
+Files beside the releases, in `review`, each with one kind of writer:
 
-    held.json         the changes held now, with their numbers; rewritten by the fusion in each cycle
+    held.json         the changes held now, with their numbers and places; rewritten by the fusion in each cycle
+    pending.json      the same of changes that wait for more votes
     decisions.jsonl   decisions with reviewer, time and reason; lines are only appended
 
 A decision refers to a change of a given height: it applies as long as the votes give the same height, and lapses when
@@ -14,15 +15,16 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.fusion.publication_decision import DECISIONS, REASONS, Decisions
+from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.plain_file import read_plain_file
@@ -34,11 +36,22 @@ _SAME_M = 0.01
 _SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
 _MOST_BYTES = 64 << 20  # chosen: a quarter of a million decisions
+MOST_PENDING = 1000
+"""Chosen: more than a person looks through; those nearest to publication are kept."""
+_NUMBERS = (
+    "previous_correction_m", "offset_m", "standard_error_m", "agreement", "vehicles", "known_vehicles", "votes", "days",
+)  # fmt: skip
+"""Columns of DECISION that a change has."""
+_PLACE = ("link_id", "latitude_rad", "longitude_rad")
+"""Columns of SurfaceNeighbourhood that it has."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldChange:
-    """A change held for review: the map's correction, the votes' offset, and why it was not published."""
+    """A change that waits: the map's correction, the votes' offset, why it was not published, and the surface's middle.
+
+    Files of earlier versions have neither link nor place.
+    """
 
     surface_id: int
     reason: str
@@ -51,6 +64,9 @@ class HeldChange:
     known_vehicles: int
     votes: int
     days: int
+    link_id: int | None = None
+    latitude_rad: float | None = None
+    longitude_rad: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +97,16 @@ class ReviewFolder:
 
     def __init__(self, releases: Path) -> None:
         self._held = releases / "review" / "held.json"
+        self._pending = releases / "review" / "pending.json"
         self._decisions = releases / "review" / "decisions.jsonl"
 
     def held(self) -> list[HeldChange]:
         """Return the changes held now, by surface."""
-        try:
-            return [HeldChange(**row) for row in json.loads(read_plain_file(self._held, _MOST_BYTES))]
-        except FileNotFoundError:
-            return []
-        except (ValueError, TypeError, UnicodeDecodeError) as error:
-            raise ReleaseError(str(self._held), "file", f"held changes ({error})") from None
+        return _read_changes(self._held)
+
+    def pending(self) -> list[HeldChange]:
+        """Return the changes that wait for more votes, those of the most standard errors first."""
+        return _read_changes(self._pending)
 
     def decisions(self) -> list[ReviewDecision]:
         """Return all decisions in order; an incomplete last line is ignored."""
@@ -119,10 +135,13 @@ class ReviewFolder:
             file.flush()
             os.fsync(file.fileno())
 
-    def apply(self, decisions: Decisions, now_ns: int) -> Decisions:
-        """Return the fusion's decisions changed by those of reviewers; what is still held is written to `held.json`.
+    def apply(
+        self, decisions: Decisions, now_ns: int, neighbourhood: SurfaceNeighbourhood | None = None
+    ) -> Decisions:
+        """Return the fusion's decisions changed by those of reviewers; what still waits is written to its files.
 
-        An accepted change is published though it is held; a rejected one is not published.
+        An accepted change is published though it is held; a rejected one is not published. `neighbourhood` has the
+        places of surfaces.
         """
         rows = decisions.surfaces.copy()
         for at, action in self._applicable(rows).items():
@@ -135,8 +154,10 @@ class ReviewFolder:
                 row["correction_m"] = row["offset_m"]
                 row["sigma_m"] = max(float(row["standard_error_m"]), _LEAST_SIGMA_M)
             rows[at] = row
-        self._write_held(rows[rows["decision"] == DECISIONS.index("hold")], now_ns)
-        return Decisions(rows, decisions.alarms)
+        applied = replace(decisions, surfaces=rows)
+        _write_changes(self._held, applied.of("hold"), now_ns, neighbourhood)
+        _write_changes(self._pending, applied.pending()[:MOST_PENDING], now_ns, neighbourhood)
+        return applied
 
     def reject_again(self, withdrawn: Corrections, *, who: str, why: str, time_ns: int) -> None:
         """Reject corrections withdrawn by a roll-back, so that the same votes do not publish them again."""
@@ -167,17 +188,39 @@ class ReviewFolder:
                 actions[at] = decision.action
         return actions
 
-    def _write_held(self, rows: NDArray[np.void], now_ns: int) -> None:
-        since = {held.surface_id: held.since_ns for held in self.held()}
-        held = [
-            HeldChange(
-                surface_id=int(row["surface_id"]),
-                reason=REASONS[int(row["reason"])],
-                since_ns=since.get(int(row["surface_id"]), now_ns),
-                **{field.name: row[field.name].item() for field in fields(HeldChange)[3:]},
-            )
-            for row in rows
-        ]
-        text = json.dumps([asdict(each) for each in held], indent=1).encode()
-        if not self._held.exists() or self._held.read_bytes() != text:
-            write_file(self._held, text)
+
+def _read_changes(path: Path) -> list[HeldChange]:
+    try:
+        return [HeldChange(**row) for row in json.loads(read_plain_file(path, _MOST_BYTES))]
+    except FileNotFoundError:
+        return []
+    except (ValueError, TypeError, UnicodeDecodeError) as error:
+        raise ReleaseError(str(path), "file", f"changes of surfaces ({error})") from None
+
+
+def _write_changes(
+    path: Path, rows: NDArray[np.void], now_ns: int, neighbourhood: SurfaceNeighbourhood | None
+) -> None:
+    """Write rows of DECISION; one that is in the file already keeps its time."""
+    since = {change.surface_id: change.since_ns for change in _read_changes(path)}
+    changes = []
+    for row in rows:
+        surface_id = int(row["surface_id"])
+        change = HeldChange(
+            surface_id=surface_id,
+            reason=REASONS[int(row["reason"])],
+            since_ns=since.get(surface_id, now_ns),
+            **{name: row[name].item() for name in _NUMBERS},
+            **_place(surface_id, neighbourhood),
+        )
+        changes.append(asdict(change))
+    text = json.dumps(changes, indent=1).encode()
+    if not path.exists() or path.read_bytes() != text:
+        write_file(path, text)
+
+
+def _place(surface_id: int, neighbourhood: SurfaceNeighbourhood | None) -> dict[str, Any]:
+    at = -1 if neighbourhood is None else int(neighbourhood.rows_of(np.array([surface_id]))[0])
+    if neighbourhood is None or at < 0:
+        return {}
+    return {name: getattr(neighbourhood, name)[at].item() for name in _PLACE}

@@ -6,6 +6,8 @@ other datum to name.
     surface   Polygon, its corners with their heights; properties hold all columns of RoadSurfaces
     link      LineString; properties hold all columns of RoadLinks
 
+Ids have 62 bits and are texts: many programs keep only 53 of a JSON number. Numbers are read too.
+
 What is written is read again as it was. Lines of another origin need no properties: ids come from their places, and
 levels, where `level` is not given, from the tags `bridge`, `tunnel` and `layer` of OpenStreetMap.
 """
@@ -15,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -30,11 +32,14 @@ from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lanes import named_links
 from camber.tools.maps.importers.osm_tags import level_of, tags_of
 
+Feature = dict[str, Any]
+
 _DECIMALS = 10  # of degrees: a hundredth of a millimetre
 _SURFACE = (
     "surface_id", "link_id", "level", "sigma_m", "vehicles", "last_seen_ns", "half_length_m", "half_width_m",
 )  # fmt: skip
 _LINK = ("link_id", "start_node", "end_node", "level", "sigma_m")
+_IDS = ("surface_id", "link_id", "start_node", "end_node")
 _MOST_BYTES = 1 << 31  # chosen: bounds the memory of the JSON parser
 
 
@@ -56,8 +61,7 @@ def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:
     """A FeatureCollection, a feature on each line: surfaces, then links, both by id."""
     features = [_surface(surfaces, int(row)) for row in np.argsort(surfaces.surface_id)]
     features += [_link(links, int(row)) for row in np.argsort(links.link_id)]
-    body = ",\n".join(json.dumps(feature, allow_nan=False, separators=(",", ":")) for feature in features)
-    return '{"type":"FeatureCollection","features":[\n' + body + "\n]}\n"
+    return feature_collection(features)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,35 +110,56 @@ def _surface(surfaces: RoadSurfaces, row: int) -> dict[str, Any]:
     corners = np.column_stack((c * signs[:, 0] - s * signs[:, 1], s * signs[:, 0] + c * signs[:, 1]))
     lat, lon, _ = LocalFrame(latitude, longitude, 0.0).geodetic_from_east_north_array(corners, 0.0)
     heights = [grid[0, 0], grid[-1, 0], grid[-1, -1], grid[0, -1], grid[0, 0]]
-    ring = [[_degrees(x), _degrees(y), round(float(h), 4)] for x, y, h in zip(lon, lat, heights, strict=True)]
-    properties = {name: getattr(surfaces, name)[row].item() for name in _SURFACE} | {
-        "centre": [_degrees(longitude), _degrees(latitude)],
+    ring = [[degrees(x), degrees(y), round(float(h), 4)] for x, y, h in zip(lon, lat, heights, strict=True)]
+    properties = _properties(surfaces, _SURFACE, row) | {
+        "centre": [degrees(longitude), degrees(latitude)],
         "yaw_rad": yaw,
         "heights_m": np.round(grid, 4).tolist(),
     }
-    return _feature(properties["surface_id"], "Polygon", [ring], properties)
+    return make_feature(properties["surface_id"], "Polygon", [ring], properties)
 
 
 def _link(links: RoadLinks, row: int) -> dict[str, Any]:
-    line = [[_degrees(longitude), _degrees(latitude)] for latitude, longitude in links.vertices[row]]
-    properties = {name: getattr(links, name)[row].item() for name in _LINK}
-    return _feature(properties["link_id"], "LineString", line, properties)
+    line = [[degrees(longitude), degrees(latitude)] for latitude, longitude in links.vertices[row]]
+    properties = _properties(links, _LINK, row)
+    return make_feature(properties["link_id"], "LineString", line, properties)
 
 
-def _feature(number: int, kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+def _properties(columns: RoadSurfaces | RoadLinks, names: Sequence[str], row: int) -> dict[str, Any]:
+    values = {name: getattr(columns, name)[row].item() for name in names}
+    return {name: str(value) if name in _IDS else value for name, value in values.items()}
+
+
+def make_feature(number: str, kind: str, coordinates: list[Any], properties: Mapping[str, Any]) -> Feature:
+    """A feature of GeoJSON with an id."""
     geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "Feature", "id": number, "geometry": geometry, "properties": properties}
 
 
-def _degrees(angle_rad: float) -> float:
+def feature_collection(features: Iterable[Feature]) -> str:
+    """A FeatureCollection, a feature on each line."""
+    body = ",\n".join(json.dumps(each, allow_nan=False, separators=(",", ":")) for each in features)
+    return '{"type":"FeatureCollection","features":[\n' + body + "\n]}\n"
+
+
+def degrees(angle_rad: float) -> float:
+    """Degrees as a file has them."""
     return round(math.degrees(angle_rad), _DECIMALS)
+
+
+def _id(value: Any) -> int:
+    """An id as text or number; ValueError or TypeError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        raise TypeError(f"id {value!r}, expected digits")
+    return int(value)
 
 
 def _surfaces(features: list[Mapping[str, Any]]) -> RoadSurfaces:
     rows = [feature["properties"] for feature in features]
     centre = np.radians(np.array([row["centre"] for row in rows], np.float64).reshape(-1, 2))
     columns: dict[str, Any] = {
-        name: [row[name] for row in rows] for name in (*_SURFACE, "yaw_rad", "heights_m")
+        name: [_id(row[name]) if name in _IDS else row[name] for row in rows]
+        for name in (*_SURFACE, "yaw_rad", "heights_m")
     }
     surfaces = RoadSurfaces(**columns, latitude_rad=centre[:, 1], longitude_rad=centre[:, 0])
     # Rounded as releases are: what came from one is what it was.
@@ -162,11 +187,15 @@ def _links(features: list[Mapping[str, Any]], properties: list[LineProperties]) 
         otherwise = getattr(links, name).tolist()
         columns[name] = np.array(
             [
-                value if name == "level" and not each.has_level else row.get(name, value)
+                value if name == "level" and not each.has_level else _value(name, row.get(name, value))
                 for row, each, value in zip(rows, properties, otherwise, strict=True)
             ]
         )
     return RoadLinks(**columns, vertices=vertices)
+
+
+def _value(name: str, value: Any) -> Any:
+    return _id(value) if name in _IDS else value
 
 
 def _number(value: Any) -> float | None:

@@ -1,22 +1,29 @@
 """`camber map review RELEASES`: changes of the map that wait for a person, and what is decided of them.
 
-RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers. A
-decision names who and why; map_update applies it in its next cycle.
+RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers, the middle of
+the surface and its road (the number of the link). With --near the nearest come first, with their distance. A decision
+names who and why; map_update applies it in its next cycle.
 """
 
 from __future__ import annotations
 
 import argparse
 import getpass
+import math
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
+from camber.geodesy.local_frame import LocalFrame
 from camber.map_update.release.review import HeldChange, ReviewAction, ReviewDecision, ReviewFolder
+from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
+from camber.tools.maps.geojson import degrees, feature_collection, make_feature
 from camber.tools.options.error_report import report_failures
-from camber.tools.options.number_options import NUMBER
+from camber.tools.options.number_options import LATITUDE, LONGITUDE, NUMBER, each_of
+from camber.tools.options.output_check import check_output_file
 from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber map review"
@@ -30,6 +37,12 @@ def main(argv: Sequence[str]) -> int:
     for name, text in (("--accept", "publish these changes"), ("--reject", "do not publish these changes")):
         choice.add_argument(name, type=NUMBER, nargs="+", metavar="SURFACE", help=text)
     choice.add_argument("--log", action="store_true", help="show what was decided so far")
+    choice.add_argument("--pending", action="store_true", help="list what waits for more votes instead")
+    text = "list the nearest to this place first [°]"
+    nearest = each_of(LATITUDE, LONGITUDE)
+    parser.add_argument("--near", action=nearest, nargs=2, metavar=("LAT", "LON"), help=text)
+    text = "write the list as points too, with ids as texts"
+    parser.add_argument("--geojson", type=Path, metavar="FILE", help=text)
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
     parser.add_argument("--why", help="why; must be given with a decision")
     args = parser.parse_args(argv)
@@ -54,7 +67,7 @@ def _carry_out(args: argparse.Namespace) -> int | str:
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
-        return "\n".join(_lines(review.held()))
+        return _listed(args, review.pending() if args.pending else review.held())
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
     action: ReviewAction = "accept" if args.accept else "reject"
@@ -70,14 +83,60 @@ def _carry_out(args: argparse.Namespace) -> int | str:
     return f"{len(chosen)} changes: {action}; map_update applies it in its next cycle"
 
 
-def _lines(held: Sequence[HeldChange]) -> list[str]:
-    if not held:
-        return ["nothing is held"]
-    lines = [f"{'surface':>12}  {'map has':>9}  {'votes say':>9}  {'error':>7}  agree  vehicles  days  why"]
-    for each in held:
-        lines.append(
-            f"{each.surface_id:>12}  {each.previous_correction_m:>+7.3f} m  {each.offset_m:>+7.3f} m"
-            f"  {each.standard_error_m:>5.3f} m  {each.agreement:>5.2f}  {each.vehicles:>8}  {each.days:>4}"
-            f"  {each.reason.replace('_', ' ')}"
-        )
-    return lines
+def _listed(args: argparse.Namespace, changes: Sequence[HeldChange]) -> str:
+    """The changes as lines, and as a file where one is asked for."""
+    distances_m = [_distance_m(change, args.near) for change in changes]
+    if args.near is not None:
+        order = sorted(range(len(changes)), key=lambda at: distances_m[at])
+        changes, distances_m = [changes[at] for at in order], [distances_m[at] for at in order]
+    if args.geojson is not None:
+        check_output_file(args.geojson)
+        write_file(args.geojson, _as_geojson(changes).encode())
+    if not changes:
+        return "nothing is pending" if args.pending else "nothing is held"
+    head = f"{'surface':>19}  {'latitude':>10}  {'longitude':>11}  {'road':<24}  {'map has':>9}  {'votes say':>9}"
+    head = f"{head}  {'error':>7}  agree  vehicles  days  why"
+    if args.near is None:
+        return "\n".join([head, *map(_line, changes)])
+    pairs = zip(distances_m, changes, strict=True)
+    return "\n".join([f"{'distance':>10}  {head}", *(f"{m:>8.0f} m  {_line(each)}" for m, each in pairs)])
+
+
+def _distance_m(change: HeldChange, near_deg: tuple[float, float] | None) -> float:
+    """Distance from a place, infinite where that of the change is not known: it is listed last."""
+    latitude_rad, longitude_rad = change.latitude_rad, change.longitude_rad
+    if near_deg is None or latitude_rad is None or longitude_rad is None:
+        return math.inf
+    # In a straight line: of places on opposite sides of the earth the order is the same.
+    frame = LocalFrame(*map(math.radians, near_deg), 0.0)
+    return math.hypot(*frame.enu_from_geodetic(latitude_rad, longitude_rad, 0.0))
+
+
+def _line(change: HeldChange) -> str:
+    place = f"{'not known':>23}"
+    if change.latitude_rad is not None and change.longitude_rad is not None:
+        latitude, longitude = math.degrees(change.latitude_rad), math.degrees(change.longitude_rad)
+        place = f"{latitude:>10.6f}  {longitude:>11.6f}"
+    return (
+        f"{change.surface_id:>19}  {place}  {road_of(change):<24}  {change.previous_correction_m:>+7.3f} m"
+        f"  {change.offset_m:>+7.3f} m  {change.standard_error_m:>5.3f} m  {change.agreement:>5.2f}"
+        f"  {change.vehicles:>8}  {change.days:>4}  {change.reason.replace('_', ' ')}"
+    )
+
+
+def road_of(change: HeldChange) -> str:
+    """What a road is called."""
+    return "" if change.link_id is None else f"link {change.link_id}"
+
+
+def _as_geojson(changes: Sequence[HeldChange]) -> str:
+    """Points of changes whose place is known."""
+    features = []
+    for change in changes:
+        if change.link_id is None or change.latitude_rad is None or change.longitude_rad is None:
+            continue
+        values = {name: value for name, value in asdict(change).items() if not name.endswith("_rad")}
+        ids = {name: str(values[name]) for name in ("surface_id", "link_id")}
+        point = [degrees(change.longitude_rad), degrees(change.latitude_rad)]
+        features.append(make_feature(ids["surface_id"], "Point", point, values | ids))
+    return feature_collection(features)

@@ -28,7 +28,9 @@ def neighbourhood(tmp_path: Path) -> SurfaceNeighbourhood:
 def changes_of(
     neighbourhood: SurfaceNeighbourhood, decided: np.ndarray, corrected: np.ndarray, alarms: np.ndarray
 ) -> MapChanges:
-    return map_changes(Decisions(decided, alarms), corrected, neighbourhood, map_version=9, time_ns=MADE_NS)
+    return map_changes(
+        Decisions(surfaces=decided, alarms=alarms), corrected, neighbourhood, map_version=9, time_ns=MADE_NS
+    )
 
 
 def decisions(*rows: tuple[int, str, str, float]) -> np.ndarray:

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, REASONS, Decision, Decisions
+from camber.map_update.fusion.surface_neighbours import build_neighbourhood
 from camber.map_update.release.review import ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
-from support.small_map import MADE_NS
+from support.small_map import MADE_NS, at, surface, surfaces
 
 
 def decisions(*rows: tuple[int, Decision, float]) -> Decisions:
-    surfaces = np.zeros(len(rows), DECISION)
-    for at, (surface_id, decision, offset_m) in enumerate(rows):
-        row = surfaces[at]
+    decided = np.zeros(len(rows), DECISION)
+    for row, (surface_id, decision, offset_m) in zip(decided, rows, strict=True):
         row["surface_id"], row["decision"], row["offset_m"] = surface_id, DECISIONS.index(decision), offset_m
         row["reason"], row["standard_error_m"], row["sigma_m"] = REASONS.index("step"), 0.002, np.nan
         row["vehicles"], row["agreement"] = 9, 0.9
         if decision == "publish":
             row["correction_m"], row["sigma_m"] = offset_m, 0.01
-    return Decisions(surfaces)
+    return Decisions(surfaces=decided)
 
 
 def review_decision(surface_id: int, action: ReviewAction, offset_m: float, **changed: Any) -> ReviewDecision:
@@ -45,6 +45,48 @@ def test_held_changes_are_listed_with_their_numbers_and_time(tmp_path: Path) -> 
     assert (held.surface_id, held.offset_m, held.reason, held.since_ns) == (3, 0.21, "step", MADE_NS)
     review.apply(decisions((3, "nothing", 0.0)), MADE_NS + 6)
     assert review.held() == []
+
+
+def test_changes_that_wait_have_link_and_place(tmp_path: Path) -> None:
+    rows = [surface(k, 20.0 * k, link_id=9) for k in range(4)]
+    neighbourhood = build_neighbourhood(surfaces(rows), street_m=300.0, region_m=1000.0)
+    review = ReviewFolder(tmp_path)
+    decided = decisions((2, "hold", 0.2), (3, "nothing", 0.1), (77, "hold", 0.2))
+    decided.surfaces["reason"][1], decided.surfaces["votes"] = REASONS.index("too_few_days"), 3
+    review.apply(decided, MADE_NS, neighbourhood)
+    held, elsewhere = review.held()
+    assert held.link_id == 9
+    assert (held.latitude_rad, held.longitude_rad) == pytest.approx(at(40.0, 0.0), abs=1e-9)
+    assert (elsewhere.surface_id, elsewhere.latitude_rad) == (77, None)
+    (pending,) = review.pending()
+    assert (pending.surface_id, pending.reason, pending.link_id) == (3, "too_few_days", 9)
+
+
+def test_pending_are_changes_beyond_the_threshold_that_more_votes_may_publish(tmp_path: Path) -> None:
+    decided = decisions(
+        (1, "nothing", 0.04),
+        (2, "nothing", 0.02),
+        (3, "nothing", -0.09),
+        (4, "nothing", 0.2),
+        (5, "hold", 0.3),
+    )
+    decided.surfaces["reason"] = REASONS.index("not_significant")
+    decided.surfaces["reason"][3] = REASONS.index("changed_back")
+    decided.surfaces["votes"] = 3
+    ReviewFolder(tmp_path).apply(Decisions(surfaces=decided.surfaces, threshold_m=0.03), MADE_NS)
+    assert [change.surface_id for change in ReviewFolder(tmp_path).pending()] == [3, 1]
+
+
+def test_held_changes_of_earlier_versions_are_read_without_place(tmp_path: Path) -> None:
+    review = ReviewFolder(tmp_path)
+    review.apply(decisions((3, "hold", 0.2)), MADE_NS)
+    path = tmp_path / "review" / "held.json"
+    rows = json.loads(path.read_text())
+    for name in ("link_id", "latitude_rad", "longitude_rad"):
+        del rows[0][name]
+    path.write_text(json.dumps(rows))
+    (held,) = review.held()
+    assert (held.surface_id, held.link_id, held.latitude_rad) == (3, None, None)
 
 
 def test_an_accepted_change_is_published_and_no_longer_held(tmp_path: Path) -> None:

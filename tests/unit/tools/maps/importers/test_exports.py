@@ -90,6 +90,21 @@ def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Pa
         ]
 
 
+def test_ids_of_geojson_are_texts_and_numbers_are_read_too(release: Path, tmp_path: Path) -> None:
+    path = exported(release, "geojson", tmp_path / "map.geojson")
+    roads = json.loads(path.read_text())
+    for feature in roads["features"]:
+        values = feature["properties"]
+        for name in {"surface_id", "link_id", "start_node", "end_node"} & values.keys():
+            assert isinstance(values[name], str), name
+            values[name] = int(values[name])
+    numbers = tmp_path / "numbers.geojson"
+    numbers.write_text(json.dumps(roads))
+    assert build_map("geojson", tmp_path / "again", numbers) == 0
+    again = read_release(tmp_path / "again").road_surfaces()
+    assert again.surface_id.tolist() == read_release(release).road_surfaces().surface_id.tolist()
+
+
 def test_geojson_says_where_surfaces_are_to_who_knows_nothing_of_camber(
     release: Path, tmp_path: Path
 ) -> None:
