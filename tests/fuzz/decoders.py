@@ -27,6 +27,7 @@ from camber.formats.lidar_can.ouster_metadata import read_ouster_metadata
 from camber.formats.lidar_can.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
 from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 from camber.formats.map_exchange.lanelet2 import lanelet_map
+from camber.formats.map_exchange.map_projector import map_projector
 from camber.formats.map_exchange.opendrive import opendrive_map
 from camber.formats.map_exchange.pcd import PointCloud, cloud_from_pcd, pcd_bytes
 from camber.formats.map_exchange.ply import points_from_ply
@@ -600,6 +601,19 @@ def _lanelets(random: Random) -> list[list[bytes]]:
     return [text.splitlines(keepends=True)]
 
 
+def _projectors(random: Random) -> list[list[bytes]]:
+    """Projector files of Autoware, by line."""
+    origin = "map_origin:\n  latitude: 35.6762 # [deg]\n  longitude: 139.6503\n  altitude: 0.0\n"
+    parts = {
+        "MGRS": "mgrs_grid: 54SUE\n",
+        "LocalCartesianUTM": origin,
+        "LocalCartesian": origin,
+        "TransverseMercator": f"{origin}scale_factor: {random.uniform(0.99, 1.01)}\n",
+    }
+    text = "projector_type: {}\nvertical_datum: WGS84\n{}"
+    return [text.format(*part).encode().splitlines(keepends=True) for part in parts.items()]
+
+
 def _read_lanelets(data: bytes) -> None:
     """As `camber map build` does."""
     parsed = lanelet_map(data, "fuzz", strict=False)
@@ -779,6 +793,7 @@ DECODERS: tuple[Target, ...] = (
     ),
     Target("livox_custom", _livox_sweeps, read=partial(_read_point_cloud, kind=LIVOX), refusal=FormatError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
+    Target("map_projector", _projectors, read=lambda data: map_projector(data, "fuzz"), refusal=FormatError),
     Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),
     Target("ply", _ply, read=lambda data: points_from_ply(data, "fuzz"), refusal=FormatError),

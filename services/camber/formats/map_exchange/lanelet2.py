@@ -4,8 +4,8 @@ Source: F. Poggenhans et al., "Lanelet2: A high-definition map framework for the
 2018; tags as in the project's LaneletPrimitives.md. A lanelet is a relation of type `lanelet` whose members `left` and
 `right` are one way each. Ways may be drawn in both directions: borders are turned so that the left one is on the left
 of the lanelet's direction (`geometry::align` of Lanelet2). Heights stay in the map's vertical datum, which the file
-does not name. Points without latitude and longitude, as in maps with a local projection, are placed by `mgrs_code` and
-`local_x`, `local_y` in its 100 km square.
+does not name. Points without latitude and longitude, as in maps with a local projection, are placed by `local_x` and
+`local_y`: in the 100 km square of their `mgrs_code`, or else as the map's projector says.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
+from camber.formats.map_exchange.map_projector import FILE_NAME, MapProjector
 from camber.formats.map_exchange.mgrs import geodetic_from_mgrs
 from camber.formats.map_exchange.xml_doctype import refuse_doctype
 
@@ -30,6 +31,8 @@ Floats = NDArray[np.float64]
 MAX_BYTES = 2 << 30  # chosen: larger than any published map; a wrong file is refused before it fills memory
 ROADS = frozenset({"road", "highway", "play_street", "emergency_lane", "bus_lane", "exit", "road_shoulder"})
 """Subtypes on which vehicles drive; a lanelet without a subtype is a road."""
+_REACH_OF_SQUARE_M = (-1e5, 2e5)  # chosen: a square of 100 km and as much around it
+_REACH_OF_MAP_M = (-5e5, 5e5)  # chosen: half the width of a zone of UTM, from the origin of the map
 _LOWEST_M, _HIGHEST_M = -12_000.0, 12_000.0  # chosen: beyond all land and sea floor
 
 
@@ -60,15 +63,29 @@ class LaneletMap:
     """Names of selected lanelets that could not be read, and the reasons."""
 
 
-def read_lanelet2(path: Path, subtypes: frozenset[str] = ROADS, *, strict: bool = True) -> LaneletMap:
-    """Read the lanelets of some subtypes; FormatError for invalid contents. Without `strict` some may be unreadable."""
+def read_lanelet2(
+    path: Path,
+    subtypes: frozenset[str] = ROADS,
+    *,
+    strict: bool = True,
+    projector: MapProjector | None = None,
+) -> LaneletMap:
+    """Read the lanelets of some subtypes; FormatError for invalid contents. Without `strict` some may be unreadable.
+
+    `projector`: of points that have neither latitude and longitude nor `mgrs_code`.
+    """
     if path.stat().st_size > MAX_BYTES:
         raise FormatError(str(path), "size", f"at most {MAX_BYTES >> 30} GiB")
-    return lanelet_map(path.read_bytes(), str(path), subtypes, strict=strict)
+    return lanelet_map(path.read_bytes(), str(path), subtypes, strict=strict, projector=projector)
 
 
 def lanelet_map(
-    data: bytes, file: str, subtypes: frozenset[str] = ROADS, *, strict: bool = True
+    data: bytes,
+    file: str,
+    subtypes: frozenset[str] = ROADS,
+    *,
+    strict: bool = True,
+    projector: MapProjector | None = None,
 ) -> LaneletMap:
     """Parse the bytes of a file; as `read_lanelet2`."""
     elements: dict[str, dict[int, _OsmElement]] = {"node": {}, "way": {}, "relation": {}}
@@ -88,7 +105,7 @@ def lanelet_map(
     for relation in relations:
         try:
             sides = tuple(_border_of(relation, role, line_strings, file) for role in ("left", "right"))
-            places = _places(sides, nodes, file)
+            places = _places(sides, nodes, file, projector)
             lanelets.append(_aligned(relation, *sides, place_of=places, file=file))
         except FormatError as error:
             if strict:
@@ -109,14 +126,17 @@ def lanelet_map(
 
 
 def _places(
-    borders: Sequence[_OsmElement], nodes: Mapping[int, _OsmElement], file: str
+    borders: Sequence[_OsmElement],
+    nodes: Mapping[int, _OsmElement],
+    file: str,
+    projector: MapProjector | None,
 ) -> dict[int, tuple[float, float, float]]:
     places = {}
     for border in borders:
         for ref in border.refs:
             if ref not in nodes:
                 raise FormatError(file, f"{border.name}, nd", "a node of this file", actual=str(ref))
-            places[ref] = _place(nodes[ref], file)
+            places[ref] = _place(nodes[ref], file, projector)
     return places
 
 
@@ -187,28 +207,41 @@ def _id(text: str | None, file: str, field_name: str) -> int:
     return identity
 
 
-def _place(node: _OsmElement, file: str) -> tuple[float, float, float]:
+def _place(node: _OsmElement, file: str, projector: MapProjector | None) -> tuple[float, float, float]:
     """Return latitude, longitude [rad] and height of a node."""
+    height_m = _number(node.tags.get("ele"), f"{node.name}, ele", (_LOWEST_M, _HIGHEST_M), file)
+    lat, lon = node.attributes.get("lat"), node.attributes.get("lon")
+    if not lat and not lon and "local_x" in node.tags:
+        return *place_of_local(node.tags, node.name, file, projector), height_m
+    latitude_deg = _number(lat, f"{node.name}, lat", (-85.0, 85.0), file)
+    longitude_deg = _number(lon, f"{node.name}, lon", (-180.0, 180.0), file)
+    return math.radians(latitude_deg), math.radians(longitude_deg), height_m
 
-    def number(key: str, text: str | None, low: float, high: float) -> float:
-        try:
-            value = float(text or "")
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            expected = f"a number from {low:.0f} to {high:.0f}".replace("-", "−")
-            raise FormatError(file, f"{node.name}, {key}", expected, actual=text)
-        return value
 
-    tags, lat, lon = node.tags, node.attributes.get("lat"), node.attributes.get("lon")
-    height_m = number("ele", tags.get("ele"), _LOWEST_M, _HIGHEST_M)
-    if not lat and not lon and "mgrs_code" in tags:
-        x_m, y_m = (number(key, tags.get(key), -1e5, 2e5) for key in ("local_x", "local_y"))
-        field_name = f"{node.name}, mgrs_code"
-        latitude, longitude = geodetic_from_mgrs(tags["mgrs_code"], x_m, y_m, file=file, field=field_name)
-        return latitude, longitude, height_m
-    latitude, longitude = number("lat", lat, -85.0, 85.0), number("lon", lon, -180.0, 180.0)
-    return math.radians(latitude), math.radians(longitude), height_m
+def place_of_local(
+    tags: Mapping[str, str], name: str, file: str, projector: MapProjector | None
+) -> tuple[float, float]:
+    """Return latitude and longitude [rad] of `local_x`, `local_y` of the node `name`; FormatError."""
+    reach = _REACH_OF_SQUARE_M if "mgrs_code" in tags else _REACH_OF_MAP_M
+    x_m, y_m = (_number(tags.get(key), f"{name}, {key}", reach, file) for key in ("local_x", "local_y"))
+    if "mgrs_code" in tags:
+        return geodetic_from_mgrs(tags["mgrs_code"], x_m, y_m, file=file, field=f"{name}, mgrs_code")
+    if projector is None:
+        expected = f"lat and lon, mgrs_code, or {FILE_NAME} in the folder of the map (--projector FILE)"
+        raise FormatError(file, name, expected, actual="local_x and local_y alone")
+    return projector.geodetic(x_m, y_m)
+
+
+def _number(text: str | None, field_name: str, bounds: tuple[float, float], file: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    low, high = bounds
+    if not low <= value <= high:
+        expected = f"a number from {low:.0f} to {high:.0f}".replace("-", "−")
+        raise FormatError(file, field_name, expected, actual=text)
+    return value
 
 
 def _border_of(

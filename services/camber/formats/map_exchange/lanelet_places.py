@@ -1,12 +1,13 @@
 """Random places on borders of lanelets with their heights, straight from the ways of the file.
 
-A second reading, to check the import with: it shares no function with `lanelet2`, and knows no lanes, only the lines
-between neighbouring nodes.
+A second reading, to check the import with: it shares no function with `lanelet2` but for what places nodes that have no
+latitude and longitude, and knows no lanes, only the lines between neighbouring nodes.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,12 +28,24 @@ class BorderPlace:
     height_m: float
 
 
+LocalPlace = Callable[[Mapping[str, str]], tuple[float, float]]
+
+
 def border_places(
-    data: bytes, subtypes: frozenset[str], count: int, rng: np.random.Generator
+    data: bytes,
+    subtypes: frozenset[str],
+    count: int,
+    rng: np.random.Generator,
+    *,
+    place_of_local: LocalPlace,
 ) -> list[BorderPlace]:
-    """Return `count` places; empty where no border of a lanelet has latitudes, longitudes and heights."""
+    """Return `count` places; empty where no border of a lanelet has places with heights.
+
+    `place_of_local`: latitude and longitude [rad] of a node with these tags that has only `local_x` and `local_y`.
+    """
     root = ElementTree.fromstring(data)
-    nodes = {node.get("id"): row for node in root.iterfind("node") if (row := _row(node)) is not None}
+    rows = ((node.get("id"), _row(node, place_of_local)) for node in root.iterfind("node"))
+    nodes = {identity: row for identity, row in rows if row is not None}
     lines = {line.get("id"): [nd.get("ref") for nd in line.iterfind("nd")] for line in root.iterfind("way")}
     steps = []
     for relation in root.iterfind("relation"):
@@ -63,16 +76,19 @@ def border_places(
     return places
 
 
-def _tags(element: ElementTree.Element) -> dict[str | None, str | None]:
-    return {tag.get("k"): tag.get("v") for tag in element.iterfind("tag")}
+def _tags(element: ElementTree.Element) -> dict[str, str]:
+    return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
 
 
-def _row(node: ElementTree.Element) -> Floats | None:
-    """Return latitude, longitude and height, None where one is missing."""
+def _row(node: ElementTree.Element, place_of_local: LocalPlace) -> Floats | None:
+    """Return latitude, longitude [deg] and height, None where one is missing."""
+    tags, lat, lon = _tags(node), node.get("lat"), node.get("lon")
     try:
-        row = np.array(
-            [float(node.get("lat", "")), float(node.get("lon", "")), float(_tags(node).get("ele") or "")]
-        )
+        if lat or lon or "local_x" not in tags:
+            place_deg = float(lat or ""), float(lon or "")
+        else:
+            place_deg = tuple(np.degrees(place_of_local(tags)))
+        row = np.array([*place_deg, float(tags.get("ele", ""))])
     except ValueError:
         return None
     return row if np.isfinite(row).all() else None

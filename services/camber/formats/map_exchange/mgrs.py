@@ -47,6 +47,15 @@ def geodetic_from_mgrs(code: str, x_m: float, y_m: float, file: str, field: str)
     raise FormatError(file, field, expected, actual=code)
 
 
+def utm_zone(latitude_deg: float, longitude_deg: float) -> int:
+    """Return the zone of a place, 1 to 60, with the exceptions of Norway and Svalbard (NGA.SIG.0012, chapter 7)."""
+    if 56.0 <= latitude_deg < 64.0 and 3.0 <= longitude_deg < 12.0:
+        return 32
+    if 72.0 <= latitude_deg <= 84.0 and 0.0 <= longitude_deg < 42.0:
+        return 31 + 2 * int((longitude_deg + 3.0) // 12.0)
+    return int((longitude_deg + 180.0) // 6.0) % 60 + 1
+
+
 @lru_cache(maxsize=60)
 def _inverse(zone: int) -> Any:
     """Easting and northing, negative south of the equator → longitude and latitude [deg]."""

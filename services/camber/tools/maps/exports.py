@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from camber.formats.errors import FormatError
+from camber.formats.map_exchange.mgrs import utm_zone
 from camber.formats.map_exchange.pcd import PointCloud, pcd_bytes
 from camber.formats.map_exchange.vertical_datum import aligned_to_wgs84, crs_of
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
@@ -156,7 +157,7 @@ def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> 
     import pyproj
 
     origin_deg = np.floor(np.degrees(points[:, :2].min(axis=0)) * 100.0) / 100.0
-    zone = int((origin_deg[1] + 180.0) // 6.0) % 60 + 1
+    zone = utm_zone(*origin_deg.tolist())
     utm = pyproj.Proj(proj="utm", zone=zone, south=bool(origin_deg[0] < 0.0), ellps="WGS84")
     east0, north0 = utm(origin_deg[1], origin_deg[0])
     east, north = utm(np.degrees(points[:, 1]), np.degrees(points[:, 0]))

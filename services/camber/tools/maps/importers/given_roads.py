@@ -16,7 +16,7 @@ from camber.tools.maps.geojson import LineProperties, read_geojson
 from camber.tools.maps.importers.checks.left_out import left_out_lanes
 from camber.tools.maps.importers.checks.level_heights import level_sigma_of
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
-from camber.tools.maps.importers.lanelets import lanes_of
+from camber.tools.maps.importers.lanelets import lanes_of, projector_of
 from camber.tools.maps.importers.lanes import line_length_m
 from camber.tools.maps.importers.osm_tags import HIGHWAYS, crossing_lines, is_road
 from camber.tools.maps.importers.surfaces_along import RoadCentreLines
@@ -50,7 +50,7 @@ def _links(args: argparse.Namespace) -> tuple[RoadLinks, list[float], list[str]]
         links = open_release(path).road_links()
         return links, [args.width_m] * len(links), []
     if path.suffix == ".osm":
-        lanelets = read_lanelet2(path, ROADS)
+        lanelets = read_lanelet2(path, ROADS, projector=projector_of(path))
         frame, lanes = lanes_of(lanelets, lanelets.height_m)
         # Heights only separate levels, which does not depend on the datum; without heights there are no levels.
         survey = LaneSurvey(sigma_m=1.0, link_sigma_m=0.5, seen_ns=0, level_sigma_m=level_sigma_of(args))

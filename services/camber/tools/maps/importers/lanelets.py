@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from camber.formats.map_exchange.lanelet2 import ROADS, Lanelet, LaneletMap, read_lanelet2
+from camber.formats.map_exchange.lanelet2 import ROADS, Lanelet, LaneletMap, place_of_local, read_lanelet2
 from camber.formats.map_exchange.lanelet_places import BorderPlace, border_places
+from camber.formats.map_exchange.map_projector import FILE_NAME, MapProjector, read_map_projector
 from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.tile_checks import MAX_ID
@@ -36,6 +37,8 @@ from camber.tools.options.parsers import add_with_default
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a Lanelet2 map needs."""
     parser.add_argument("file", type=Path, metavar="FILE.osm")
+    text = f"how local_x and local_y are projected (default: {FILE_NAME} in the folder of the map, if it is there)"
+    parser.add_argument("--projector", type=Path, metavar="FILE", help=text)
     add_height_arguments(parser, of_lanes=True)
     add_loss_arguments(parser)
     add_flat_arguments(parser)
@@ -48,12 +51,13 @@ def build(args: argparse.Namespace) -> BuiltMap:
     file = str(args.file)
     left_out = left_out_lanes(args)
     subtypes = frozenset(args.subtypes.split(","))
-    source = read_lanelet2(args.file, subtypes, strict=args.strict)
+    projector = projector_of(args.file, args.projector)
+    source = read_lanelet2(args.file, subtypes, strict=args.strict, projector=projector)
     for name, error in source.unreadable.items():
         left_out.add(name, error)
     if not source.lanelets:
         left_out.remarks(0, 0.0, file)
-    vertical = vertical_of(args, file)
+    vertical = vertical_of(args, file, None if projector is None else projector.vertical)
     height_m = vertical.ellipsoidal_m(source.latitude_rad, source.longitude_rad, source.height_m, file)
     frame, lanes = lanes_of(source, height_m)
     surfaces, links, steps = road_map(lanes, frame, lane_survey(args, vertical), file, left_out=left_out)
@@ -62,7 +66,13 @@ def build(args: argparse.Namespace) -> BuiltMap:
         f"{file}: {count} lanelets of subtype {name} not taken" for name, count in source.left_out.items()
     ]
     seed = seed_of(args)
-    places = border_places(args.file.read_bytes(), subtypes, PLACES, np.random.default_rng(seed))
+    places = border_places(
+        args.file.read_bytes(),
+        subtypes,
+        PLACES,
+        np.random.default_rng(seed),
+        place_of_local=lambda tags: place_of_local(tags, "node", file, projector),
+    )
     check = checked_heights(surfaces, source_heights(places, lanes, vertical, file), seed=seed, file=file)
     return BuiltMap(
         surfaces=surfaces,
@@ -70,6 +80,12 @@ def build(args: argparse.Namespace) -> BuiltMap:
         surrogate=flat_surrogate(args, vertical.surrogate),
         remarks=[*remarks, *steps, check],
     )
+
+
+def projector_of(map_path: Path, named: Path | None = None) -> MapProjector | None:
+    """Return the projector in the `named` file, or in the one that Autoware expects beside the map; None for neither."""
+    path = named or map_path.with_name(FILE_NAME)
+    return read_map_projector(path) if named is not None or path.is_file() else None
 
 
 def source_heights(

@@ -15,6 +15,7 @@ from camber.formats.map_exchange import opendrive_geometry
 from camber.formats.map_exchange.lanelet_places import border_places
 from camber.formats.map_exchange.opendrive import LaneSection
 from camber.formats.map_exchange.opendrive_places import lane_places
+from camber.road_map.release import open_release
 from camber.road_map.road_columns import RoadSurfaces
 from camber.tools.maps.importers import lanelets
 from camber.tools.maps.importers.checks.height_check import SourceHeights, checked_heights
@@ -54,6 +55,32 @@ def test_a_build_says_how_far_its_heights_are_from_the_source(
     assert count > 1900
     assert median <= p99 <= most < 1.5
     assert sigmas < 0.1
+
+
+def test_a_map_of_local_coordinates_is_compared_with_its_source_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "map_projector_info.yaml").write_text("projector_type: MGRS\nmgrs_grid: 32UPU\n")
+    (tmp_path / "a.osm").write_bytes(in_local_coordinates(lanelet2_bytes(lanelet_town())))
+    assert build_map("lanelet2", tmp_path / "local", tmp_path / "a.osm", *GIVEN) == 0
+    assert re.search(r"against the source at (19\d\d|2000) places", capsys.readouterr().out)
+    assert lanes(tmp_path) == 0
+    lines = (open_release(tmp_path / name).road_links().vertices for name in ("local", "map"))
+    local, by_degrees = (np.array([line[[0, -1]] for line in of_map]) for of_map in lines)
+    np.testing.assert_allclose(local, by_degrees, rtol=0.0, atol=1e-3 / 6.4e6)
+
+
+def in_local_coordinates(data: bytes) -> bytes:
+    """The nodes of a map with `local_x` and `local_y` in their 100 km square instead of latitude and longitude."""
+    pyproj = pytest.importorskip("pyproj")
+    utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32632")
+
+    def local(match: re.Match[bytes]) -> bytes:
+        x_m, y_m = (metres % 1e5 for metres in utm.transform(float(match[1]), float(match[2])))
+        tags = f'<tag k="local_x" v="{x_m:.5f}" /><tag k="local_y" v="{y_m:.5f}" />'
+        return f'lat="" lon="">{tags}'.encode()
+
+    return re.sub(rb'lat="(\S+)" lon="(\S+)">', local, data)
 
 
 def test_a_wrong_reading_of_a_curve_fails_the_build_and_names_the_place(
