@@ -26,6 +26,7 @@ IMPORTED_AS = {
     "griffelib": "griffe",
     "nats_py": "nats",
     "pyserial": "serial",
+    "ruamel.yaml": "ruamel",
 }
 
 

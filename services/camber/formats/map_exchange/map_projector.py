@@ -160,7 +160,7 @@ def _number(
 ) -> float:
     value = contents.get(key, default)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not low <= float(value) <= high:  # type: ignore[arg-type]
+    if not is_number or not low <= float(value) <= high:
         expected = f"a number from {low:g} to {high:g}".replace("-", "−")
         raise FormatError(file, key, expected, actual=None if value is None else str(value))
-    return float(value)  # type: ignore[arg-type]
+    return float(value)

@@ -108,7 +108,8 @@ def _distance_m(change: HeldChange, near_deg: tuple[float, float] | None) -> flo
     if near_deg is None or latitude_rad is None or longitude_rad is None:
         return math.inf
     # In a straight line: of places on opposite sides of the earth the order is the same.
-    frame = LocalFrame(*map(math.radians, near_deg), 0.0)
+    latitude_deg, longitude_deg = near_deg
+    frame = LocalFrame(math.radians(latitude_deg), math.radians(longitude_deg), 0.0)
     return math.hypot(*frame.enu_from_geodetic(latitude_rad, longitude_rad, 0.0))
 
 

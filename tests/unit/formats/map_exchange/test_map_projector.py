@@ -69,8 +69,15 @@ def test_local_cartesian_is_east_and_north_of_the_tangent_plane(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("place_deg", "zone"),
-    [((35.7, 139.7), 54), ((60.4, 5.3), 32), ((78.2, 15.6), 33), ((74.5, 19.0), 33), ((-34.6, -58.4), 21), ((0.0, 180.0), 1)],
-)  # fmt: skip
+    [
+        ((35.7, 139.7), 54),
+        ((60.4, 5.3), 32),
+        ((78.2, 15.6), 33),
+        ((74.5, 19.0), 33),
+        ((-34.6, -58.4), 21),
+        ((0.0, 180.0), 1),
+    ],
+)
 def test_zones_of_norway_and_svalbard_are_wider(place_deg: tuple[float, float], zone: int) -> None:
     assert utm_zone(*place_deg) == zone
 

@@ -24,6 +24,7 @@ from camber.formats.map_exchange.vertical_datum import (
 )
 from camber.tools.maps.importers.lanes import Floats
 
+_EDGE_PLACES = 21  # chosen: an edge of 100 km is curved between them by 1.3 m at 70° of latitude
 _WINDOW = 1024  # chosen: cells read at a time, 8 MB
 
 
@@ -88,6 +89,19 @@ class HeightRaster:
             interpolated_m[mine] = (1.0 - u) * upper + u * lower
         height_m[inside] = interpolated_m
         return height_m
+
+    def bounds_rad(self) -> tuple[float, float, float, float]:
+        """South, west, north and east [rad] of a raster that does not reach over 180° of longitude."""
+        share = np.linspace(0.0, 1.0, _EDGE_PLACES)
+        zero, one = np.zeros_like(share), np.ones_like(share)
+        column = np.concatenate((share, share, zero, one)) * self._dataset.width
+        row = np.concatenate((zero, one, share, share)) * self._dataset.height
+        a = self._dataset.transform
+        x, y = a.a * column + a.b * row + a.c, a.d * column + a.e * row + a.f
+        longitude_deg, latitude_deg = self._to_raster.transform(x, y, direction="INVERSE")
+        sides = np.min(latitude_deg), np.min(longitude_deg), np.max(latitude_deg), np.max(longitude_deg)
+        south, west, north, east = np.radians(sides).tolist()
+        return south, west, north, east
 
     def _cells(self, row: int, column: int, rows: int, columns: int) -> Floats:
         import rasterio

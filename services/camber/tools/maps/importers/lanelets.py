@@ -83,7 +83,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
 
 
 def projector_of(map_path: Path, named: Path | None = None) -> MapProjector | None:
-    """Return the projector in the `named` file, or in the one that Autoware expects beside the map; None for neither."""
+    """Return the projector of the `named` file, or of that which Autoware expects beside the map; None for neither."""
     path = named or map_path.with_name(FILE_NAME)
     return read_map_projector(path) if named is not None or path.is_file() else None
 

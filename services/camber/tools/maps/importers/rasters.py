@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces along the roads of one level; all links are kept."""
     file = str(args.file)
-    roads, remarks = given_roads(args)
     with HeightRaster.open(args.file, args.band, args.datum) as raster:
+        roads, remarks = given_roads(args, bounds_rad=raster.bounds_rad())
         vertical = vertical_of(args, file, raster.vertical)
         sigma_m = math.hypot(sigma_of(args, vertical), level_sigma_of(args) or 0.0)
 
