@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 BUNDLED = {
     "crx2rnx": "LicenseRef-RNXCMP",
+    "libbz2": "bzip2-1.0.6",
     "libLerc": "Apache-2.0",
+    "liblz4": "BSD-2-Clause",
     "libOpen3D": "MIT",
     "libXau": "MIT-open-group",
     "libaec": "BSD-2-Clause",
