@@ -78,6 +78,8 @@ _NAMES = {
     "fleet/map/root": "map_root",
     "fleet/map/blob": "map_blob",
     "fleet/map/changes": "map_changes",
+    "fleet/map/votes": "map_votes",
+    "fleet/map/decision": "map_decision",
     "replay/tick/{service}": "tick",
     "replay/done/{service}": "done",
 }
@@ -92,6 +94,7 @@ _NOTES = {
     "scan_match_points": "only while somebody subscribes",
     "map_root": "after a notice, and now and then: notices can be lost",
     "map_blob": "only what the asker lacks",
+    "map_decision": "signed by an operator's key; acknowledged after it is on the disk",
     "health": "answered by the work loop",
     "log_level": "answered by the work loop; falls back by itself",
 }
@@ -185,6 +188,10 @@ CHANNELS: tuple[Channel, ...] = (
     ),
     _query(
         "fleet/map/changes", "tools > map_update", (None, 2.0), (fleet.MapChangesRequest, fleet.MapChanges)
+    ),
+    _query("fleet/map/votes", "tools > map_update", (None, 2.0), (fleet.MapVotesRequest, fleet.MapVotes)),
+    _query(
+        "fleet/map/decision", "tools > map_update", (None, 5.0), (fleet.MapDecision, fleet.MapDecisionReceipt)
     ),
     _query(
         "{service}/health",

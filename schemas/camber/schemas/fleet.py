@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Literal, get_args
 
 from pydantic import Field
@@ -28,7 +29,10 @@ from camber.schemas.base import (
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
 
-HeldReason = Literal["other", "vehicles_not_known", "disagreed", "too_large", "regional_shift", "step"]
+HeldReason = Literal[
+    "other", "vehicles_not_known", "disagreed", "too_large", "regional_shift", "step", "not_significant",
+    "false_discovery", "too_few_vehicles", "too_few_days", "rests_on_few",
+]  # fmt: skip
 HELD_REASONS: tuple[HeldReason, ...] = get_args(HeldReason)
 EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
@@ -146,12 +150,13 @@ class MapBlobReply(Message):
 
 
 class HeldChanges(Model):
-    """Changes of road surfaces that wait for review, one row each; heights are from the reference of the map.
+    """Changes of road surfaces that wait for review or for votes, one row each; heights are from the map's reference.
 
     `reason` is the place of a term in `HELD_REASONS`, the place that of the surface's middle.
     """
 
     surface_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
+    link_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
     latitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
     longitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
     in_map_m: Annotated[Float32, ArrayOf("<f4", ("changes",))] = Field(
@@ -172,6 +177,7 @@ class PublishedChanges(Model):
     """Surfaces whose height in the map is that of the fleet, one row each; `offset_m` is from the reference."""
 
     surface_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
+    link_id: Annotated[Int64, ArrayOf("<i8", ("changes",), ge=0)]
     latitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
     longitude_rad: Annotated[Float64, ArrayOf("<f8", ("changes",))]
     offset_m: Annotated[Float32, ArrayOf("<f4", ("changes",))]
@@ -195,7 +201,7 @@ class RegionAlarms(Model):
 
 
 class MapChangesRequest(Message):
-    """Which changes of the map are held, published and alarmed?"""
+    """Which changes of the map are pending, held, published and alarmed?"""
 
 
 class MapChanges(Message):
@@ -205,8 +211,67 @@ class MapChanges(Message):
     reason: Text = ""
     map_version: Count | None = None
     held: HeldChanges | None = None
+    pending: HeldChanges | None = Field(None, description="those that wait for more votes")
     published: PublishedChanges | None = None
     alarms: RegionAlarms | None = None
     left_out: Count = Field(
-        0, description="rows that the reply has no room for: the smallest held, the oldest published"
+        0, description="rows without room: the smallest held, the oldest published, pending ones"
     )
+
+
+class MapVotesRequest(Message):
+    """How did the votes on a surface come in?"""
+
+    surface_id: Count
+
+
+class MapVotes(Message):
+    """Votes on a surface, a row for each day: how many vehicles voted, the median and the quartiles of their offsets.
+
+    Offsets are from the reference, with the biases of vehicles. `day`: since 1970, in mean solar time from 04:00.
+    """
+
+    status: Literal["known", "unknown"]
+    reason: Text = ""
+    day: Annotated[Int32, ArrayOf("<i4", ("days",))]
+    vehicles: Annotated[Int32, ArrayOf("<i4", ("days",), ge=0)]
+    offset_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
+    low_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
+    high_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
+
+
+ReviewAction = Literal["accept", "reject", "roll_back"]
+
+
+class MapDecision(Message):
+    """An operator's decision on a change of the map, or to go back to an earlier release; with who and why.
+
+    The signature is over `decision_bytes`. `time_ns`: when it was made.
+    """
+
+    action: ReviewAction
+    surface_id: Count | None = Field(None, description="whose change is accepted or rejected")
+    offset_m: Annotated[float, Field(ge=-100.0, le=100.0)] | None = Field(
+        None, description="offset of the votes as the operator saw it"
+    )
+    map_version: Count | None = Field(
+        None, description="release whose corrections come again, with `roll_back`"
+    )
+    who: Annotated[str, Field(min_length=1, max_length=64, pattern=r"\S")]
+    why: Annotated[str, Field(min_length=1, max_length=400, pattern=r"\S")]
+    key_id: Name | None = Field(None, description="which key signed; None: unsigned")
+    signature: Annotated[UInt8, ArrayOf("|u1", (64,))] | None = Field(None, description="Ed25519")
+
+
+def decision_bytes(decision: MapDecision) -> bytes:
+    """What the signature of a decision covers."""
+    names = ("action", "surface_id", "offset_m", "map_version", "who", "why", "time_ns")
+    values = [getattr(decision, name) for name in names]
+    return f"camber decision 1\n{json.dumps(values, ensure_ascii=False, separators=(',', ':'))}\n".encode()
+
+
+class MapDecisionReceipt(Message):
+    """Sent after the decision is on the disk, or why it was refused."""
+
+    status: Literal["recorded", "refused"]
+    reason: Text = ""

@@ -97,7 +97,7 @@ class HealthWatch(QueryWatch):
 class MapChangesWatch(QueryWatch):
     """Changes of the map that `map_update` holds, has published and alarms, of all its workers together.
 
-    As JSON: `problem`, and lists of `held`, `published` and `alarms`, with places in degrees.
+    As JSON: `problem`, and lists of `held`, `pending`, `published` and `alarms`, with places in degrees.
     """
 
     def __init__(self, settings: ServiceSettings) -> None:
@@ -118,12 +118,16 @@ def changes_as_json(replies: Sequence[MapChanges | QueryFailed]) -> dict[str, An
     return {
         "problem": problem,
         "left_out": sum(reply.left_out for reply in known),
-        "held": [
-            row | {"reason": HELD_REASONS[row["reason"]]} for reply in known for row in _rows_of(reply.held)
-        ],
+        "map_version": max((reply.map_version or 0 for reply in known), default=0),
+        "held": [_with_reason(row) for reply in known for row in _rows_of(reply.held)],
+        "pending": [_with_reason(row) for reply in known for row in _rows_of(reply.pending)],
         "published": [row for reply in known for row in _rows_of(reply.published)],
         "alarms": [row for reply in known for row in _rows_of(reply.alarms)],
     }
+
+
+def _with_reason(row: dict[str, Any]) -> dict[str, Any]:
+    return row | {"reason": HELD_REASONS[row["reason"]]}
 
 
 def _rows_of(columns: HeldChanges | PublishedChanges | RegionAlarms | None) -> list[dict[str, Any]]:
@@ -133,6 +137,6 @@ def _rows_of(columns: HeldChanges | PublishedChanges | RegionAlarms | None) -> l
     values = {name: column.tolist() for name, column in columns}
     values["lat"] = [math.degrees(value) for value in values.pop("latitude_rad")]
     values["lon"] = [math.degrees(value) for value in values.pop("longitude_rad")]
-    if "surface_id" in values:
-        values["surface_id"] = [str(value) for value in values["surface_id"]]  # JSON has 53 bits
+    for name in {"surface_id", "link_id"} & values.keys():
+        values[name] = [str(value) for value in values[name]]  # JSON has 53 bits
     return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]

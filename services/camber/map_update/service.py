@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+import numpy as np
 from pydantic import SecretStr
 
 from camber.geodesy.gps_time import NS_PER_DAY
@@ -25,6 +26,7 @@ from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import OvertakenError, Store, StoreError
 from camber.map_update.stores.upload_deduplication import Outcome
 from camber.map_update.warm_up import FUNCTIONS, warm_up
+from camber.road_map.operator_keys import load_operator_keys
 from camber.road_map.release import ReleaseError, load_signing_key, read_release
 from camber.road_map.release_server import ReleaseServer
 from camber.runtime.bus import Bus
@@ -32,7 +34,15 @@ from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.base import EARLIEST_NS, Message
-from camber.schemas.fleet import MapChanges, MapChangesRequest, UploadReceipt
+from camber.schemas.fleet import (
+    MapChanges,
+    MapChangesRequest,
+    MapDecision,
+    MapDecisionReceipt,
+    MapVotes,
+    MapVotesRequest,
+    UploadReceipt,
+)
 from camber.schemas.plain_file import read_plain_file
 
 if TYPE_CHECKING:
@@ -106,6 +116,8 @@ class MapUpdateService(Service[MapUpdateSettings]):
         if self._serving is not None:
             served = self._serving.answers(self.bus.now_ns)
             served["map_changes"] = lambda requests: [self._map_changes(request) for request in requests]
+            served["map_votes"] = lambda requests: [self._map_votes(request) for request in requests]
+            served["map_decision"] = lambda requests: [self._map_decision(request) for request in requests]
         if self.settings.role in ("store", "fuse"):
             return served
         return served | {
@@ -250,6 +262,31 @@ class MapUpdateService(Service[MapUpdateSettings]):
             return self._changes
         return MapChanges(time_ns=request.time_ns, status="unknown", reason="nothing has been fused yet")
 
+    def _map_votes(self, request: MapVotesRequest) -> MapVotes:
+        """The votes on a surface by day."""
+        cycle = self._cycle
+        if cycle is None:
+            return _no_votes(request, "nothing is fused here")
+        result = self._attempt("store", lambda: cycle.votes_over_time(request.surface_id, request.time_ns))
+        return _no_votes(request, "the store cannot be read") if result is None else result
+
+    def _map_decision(self, decision: MapDecision) -> MapDecisionReceipt:
+        """Record an operator's decision, or say why not."""
+        now_ns, cycle = self.bus.now_ns(), self._cycle
+        reason = "nothing is fused here"
+        if cycle is not None:
+            try:
+                cycle.carry_out(decision, now_ns)
+            except (ReleaseError, OSError) as error:
+                reason = str(error)
+            else:
+                self.bus.count(f"operator.{decision.action}")
+                self.bus.wake()
+                return MapDecisionReceipt(time_ns=now_ns, status="recorded")
+        self.bus.count("refused.decision")
+        self.bus.issue("decision_refused", f"{decision.action} by {decision.who[:64]}: {reason}")
+        return MapDecisionReceipt(time_ns=now_ns, status="refused", reason=reason[:512])
+
     def _report(self, result: FusionDecision, now_ns: int) -> None:
         """Report decisions in health, and announce a release that is new or was not announced yet."""
         surfaces = result.decisions.surfaces
@@ -320,6 +357,20 @@ class MapUpdateService(Service[MapUpdateSettings]):
         )
 
 
+def _no_votes(request: MapVotesRequest, reason: str) -> MapVotes:
+    none, zero = np.zeros(0, np.float32), np.zeros(0, np.int32)
+    return MapVotes(
+        time_ns=request.time_ns,
+        status="unknown",
+        reason=reason,
+        day=zero,
+        vehicles=zero,
+        offset_m=none,
+        low_m=none,
+        high_m=none,
+    )
+
+
 def _open_store(settings: MapUpdateSettings) -> Store:
     if settings.store is None:
         return SqliteStore(settings.state_dir / "uploads.sqlite", busy_s=settings.busy_s)
@@ -339,8 +390,14 @@ def _fusion_cycle(settings: MapUpdateSettings, folder: Path, store: Store) -> Fu
     reference = read_release(folder)
     fusion = Fusion(reference.road_surfaces(), secret, settings)
     builder = ReleaseBuilder(_releases_folder(settings), reference, signing_key=key)
+    operators = None if settings.operator_keys is None else load_operator_keys(settings.operator_keys)
     return FusionCycle(
-        store, fusion, builder, every_s=settings.fuse_every_s, most_records=settings.fuse_records
+        store,
+        fusion,
+        builder,
+        every_s=settings.fuse_every_s,
+        most_records=settings.fuse_records,
+        operators=operators,
     )
 
 

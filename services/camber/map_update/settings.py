@@ -65,6 +65,11 @@ class MapUpdateSettings(AdmissionLimits, FusionSettings, ServiceSettings):
     signing_key: Path | None = Field(
         None, description="PEM file of the Ed25519 key that signs releases; unset: releases are not signed"
     )
+    operator_keys: Path | None = Field(
+        None,
+        description="folder of public keys, NAME.pub, of those who decide on changes; unset: nobody decides over the "
+        "bus, and a decision in the folder of releases needs no signature",
+    )
     voters_key: Path | None = Field(
         None,
         description="file of 16 to 64 random bytes, the key of the vehicles' pseudonyms; unset: voters.key in "

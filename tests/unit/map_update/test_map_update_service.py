@@ -11,7 +11,7 @@ from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import FusionStep
 from camber.runtime.uploads.received_upload import ReceivedUpload
-from camber.schemas.fleet import MapChangesRequest
+from camber.schemas.fleet import MapChangesRequest, MapDecision, MapVotesRequest
 from support.contributions import NOW_NS, batch
 from support.contributions import upload as upload_of
 from support.fake_bus import FakeBus
@@ -162,6 +162,27 @@ def test_changes_of_the_map_are_answered_after_the_first_fusion_and_by_one_that_
         fusing.advance(bus.time_ns)
         (after,) = fusing.answers()["map_changes"]([request])
         assert (after.status, after.held.surface_id.tolist(), after.left_out) == ("known", [], 0)
+
+
+def test_a_decision_is_refused_where_no_operator_has_a_key(tmp_path, bus):
+    write(tmp_path / "survey", [surface(5)])
+    decision = MapDecision(
+        time_ns=bus.time_ns, action="accept", surface_id=5, offset_m=0.3, who="ann", why="seen on site"
+    )
+    settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
+    with closing(MapUpdateService(settings, bus)) as service:
+        (receipt,) = service.answers()["map_decision"]([decision])
+        assert (receipt.status, "operator_keys" in receipt.reason) == ("refused", True)
+        assert "accept by ann" in bus.text("decision_refused")
+        (votes,) = service.answers()["map_votes"]([MapVotesRequest(time_ns=bus.time_ns, surface_id=5)])
+        assert (votes.status, votes.day.tolist()) == ("known", [])
+    bad = MapUpdateSettings(
+        state_dir=tmp_path / "bad", reference=tmp_path / "survey", operator_keys=tmp_path / "survey"
+    )
+    with closing(MapUpdateService(bad, bus)) as service:
+        assert "NAME.pub" in bus.text("fusion_stopped")
+        (votes,) = service.answers()["map_votes"]([MapVotesRequest(time_ns=bus.time_ns, surface_id=5)])
+        assert (votes.status, votes.reason) == ("unknown", "nothing is fused here")
 
 
 def test_an_invalid_voters_key_is_reported_and_uploads_are_stored(tmp_path, bus):

@@ -20,13 +20,15 @@ from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication_decision import Decisions
 from camber.map_update.fusion.votes import merge_votes
-from camber.map_update.release.map_changes import map_changes
+from camber.map_update.release.map_changes import map_changes, votes_by_day
+from camber.map_update.release.operator_decisions import decide, roll_back
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.release.review import ReviewFolder
 from camber.map_update.stores.store import FusionStep, ObservationPage, Store
+from camber.road_map.operator_keys import OperatorKeys
 from camber.road_map.release_files import ReleaseFolder
-from camber.road_map.road_columns import rows_of_ids
-from camber.schemas.fleet import MapChanges
+from camber.road_map.road_columns import ReleaseError, rows_of_ids
+from camber.schemas.fleet import MapChanges, MapDecision, MapVotes
 from camber.schemas.road import ReleaseRoot
 
 _GLOBAL = frozenset({"WGS84", "ITRF2014", "ITRF2020"})
@@ -58,12 +60,20 @@ class FusionCycle:
     """The fusion of one store into the releases of one region; raises the errors of its store and its builder."""
 
     def __init__(
-        self, store: Store, fusion: Fusion, builder: ReleaseBuilder, *, every_s: float, most_records: int
+        self,
+        store: Store,
+        fusion: Fusion,
+        builder: ReleaseBuilder,
+        *,
+        every_s: float,
+        most_records: int,
+        operators: OperatorKeys | None = None,
     ) -> None:
         self._store, self._fusion, self._builder = store, fusion, builder
         self._datum = builder.reference.manifest.datum
         self._every_ns, self._most_records = round(every_s * 1e9), most_records
-        self._review = ReviewFolder(builder.folder)
+        self._operators = operators
+        self._review = ReviewFolder(builder.folder, operators)
         self._due_ns: int | None = None
         self._decided_state: object = None  # external state at the last decision; None: votes are newer
 
@@ -134,6 +144,24 @@ class FusionCycle:
             map_version=decided.root.map_version,
             time_ns=now_ns,
         )
+
+    def carry_out(self, decision: MapDecision, now_ns: int) -> None:
+        """Record an operator's decision and make the next step due; ReleaseError for one that is refused."""
+        if self._operators is None:
+            raise ReleaseError(
+                "map_update", "operator_keys", "keys of operators: without them nobody can decide"
+            )
+        if decision.action == "roll_back":
+            builder, operators = self._builder, self._operators
+            roll_back(self._review, decision, builder, time_ns=now_ns, operators=operators)
+        else:
+            decide(self._review, [decision], self._operators)
+        self._due_ns = None
+
+    def votes_over_time(self, surface_id: int, now_ns: int) -> MapVotes:
+        """The votes on a surface by day."""
+        votes = merge_votes(self._store.votes_of(np.array([surface_id], np.int64)))
+        return votes_by_day(votes, time_ns=now_ns)
 
     def _external_state(self) -> tuple[object, object]:
         """Return what others may change: the release in force (by a roll-back) and the reviewers' decisions."""

@@ -1,4 +1,4 @@
-"""Changes of the map that are held, published and alarmed, with their places, as a message for viewers."""
+"""Changes of the map (pending, held, published, alarmed) with their places, and votes by day, as messages."""
 
 from __future__ import annotations
 
@@ -8,10 +8,19 @@ from numpy.typing import NDArray
 from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.fusion.publication_decision import REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
-from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
+from camber.map_update.fusion.votes import Votes, vote_values
+from camber.schemas.fleet import (
+    HELD_REASONS,
+    HeldChanges,
+    MapChanges,
+    MapVotes,
+    PublishedChanges,
+    RegionAlarms,
+)
 
-MOST_ROWS = 1500
-"""Of a kind. Chosen: 56 and 44 bytes a row stay within a reply of 256 kB, also with the most alarms."""
+MOST_ROWS = 1000
+"""Of a kind. Chosen: 64, 64, 52 and 29 bytes a row stay within a reply of 256 kB."""
+UNIX_DAY_OF_GPS_EPOCH = 3657  # 6 January 1980
 _HELD_NUMBER = np.array([HELD_REASONS.index(r) if r in HELD_REASONS else 0 for r in REASONS], np.uint8)
 
 
@@ -32,7 +41,8 @@ def map_changes(
     held = held[np.argsort(-change_m, kind="stable")]
     published = corrections[corrections["offset_m"] != 0.0]
     published = published[np.argsort(-published["since_map_version"], kind="stable")]
-    parts = [rows[neighbourhood.rows_of(rows["surface_id"]) >= 0] for rows in (held, published)]
+    waiting = decisions.pending()
+    parts = [rows[neighbourhood.rows_of(rows["surface_id"]) >= 0] for rows in (held, published, waiting)]
     alarms = decisions.alarms
     return MapChanges(
         time_ns=time_ns,
@@ -40,8 +50,27 @@ def map_changes(
         map_version=map_version,
         held=_held(parts[0][:MOST_ROWS], neighbourhood),
         published=_published(parts[1][:MOST_ROWS], neighbourhood),
+        pending=_held(parts[2][:MOST_ROWS], neighbourhood),
         alarms=_alarms(alarms[:MOST_ROWS], neighbourhood),
         left_out=sum(max(len(rows) - MOST_ROWS, 0) for rows in (*parts, alarms)),
+    )
+
+
+def votes_by_day(votes: Votes, *, time_ns: int) -> MapVotes:
+    """The votes on one surface, those of each day together: a vehicle has one a day."""
+    value_m = vote_values(votes)[0]
+    day = votes["session"] + UNIX_DAY_OF_GPS_EPOCH
+    days = np.unique(day)
+    shares = np.array([np.quantile(value_m[day == each], (0.25, 0.5, 0.75)) for each in days.tolist()])
+    low_m, offset_m, high_m = shares.reshape(-1, 3).T.astype(np.float32)
+    return MapVotes(
+        time_ns=time_ns,
+        status="known",
+        day=days.astype(np.int32),
+        vehicles=np.array([(day == each).sum() for each in days.tolist()], np.int32),
+        offset_m=offset_m.copy(),
+        low_m=low_m.copy(),
+        high_m=high_m.copy(),
     )
 
 
@@ -49,6 +78,7 @@ def _held(rows: NDArray[np.void], neighbourhood: SurfaceNeighbourhood) -> HeldCh
     at = neighbourhood.rows_of(rows["surface_id"])
     return HeldChanges(
         surface_id=rows["surface_id"].copy(),
+        link_id=neighbourhood.link_id[at],
         latitude_rad=neighbourhood.latitude_rad[at],
         longitude_rad=neighbourhood.longitude_rad[at],
         in_map_m=rows["previous_correction_m"].astype(np.float32),
@@ -66,6 +96,7 @@ def _published(rows: Corrections, neighbourhood: SurfaceNeighbourhood) -> Publis
     at = neighbourhood.rows_of(rows["surface_id"])
     return PublishedChanges(
         surface_id=rows["surface_id"].copy(),
+        link_id=neighbourhood.link_id[at],
         latitude_rad=neighbourhood.latitude_rad[at],
         longitude_rad=neighbourhood.longitude_rad[at],
         offset_m=rows["offset_m"].astype(np.float32),

@@ -7,7 +7,8 @@ Files beside the releases, in `review`, each with one kind of writer:
     decisions.jsonl   decisions with reviewer, time and reason; lines are only appended
 
 A decision refers to a change of a given height: it applies as long as the votes give the same height, and lapses when
-they give another one. The next fusion cycle applies it.
+they give another one. The next fusion cycle applies it. Where operators have keys, a decision without the signature of
+one of them does not apply. `operator_decisions.py` checks and records decisions.
 """
 
 from __future__ import annotations
@@ -15,21 +16,22 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.fusion.publication_decision import DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
+from camber.road_map.operator_keys import OperatorKeys
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
+from camber.schemas.fleet import MapDecision, ReviewAction
 from camber.schemas.plain_file import read_plain_file
-
-ReviewAction = Literal["accept", "reject"]
 
 # Chosen: a decision applies to heights within 1 cm or three standard errors; an accepted σ is at least 5 mm.
 _SAME_M = 0.01
@@ -71,14 +73,21 @@ class HeldChange:
 
 @dataclass(frozen=True, kw_only=True)
 class ReviewDecision:
-    """A reviewer's decision on a surface whose votes gave `offset_m`."""
+    """A line of the record: an operator's decision on a surface whose votes gave `offset_m`, or to go back.
 
-    surface_id: int
+    `rests_on`: the signature of the decision to go back that rejected this surface; `map_version`: back to which.
+    """
+
+    surface_id: int | None
     action: ReviewAction
-    offset_m: float
+    offset_m: float | None
     who: str
     why: str
     time_ns: int
+    map_version: int | None = None
+    key_id: str | None = None
+    signature: str | None = None
+    rests_on: str | None = None
 
     def to_json(self) -> str:
         """Return the line of decisions.jsonl, in which `action` is called `word`."""
@@ -91,11 +100,30 @@ class ReviewDecision:
         fields = json.loads(line)
         return cls(**{"action" if name == "word" else name: value for name, value in fields.items()})
 
+    @classmethod
+    def from_message(cls, message: MapDecision) -> ReviewDecision:
+        """Return the line of a decision."""
+        values = {name: value for name, value in message.__dict__.items() if name != "signature"}
+        signature = None if message.signature is None else message.signature.tobytes().hex()
+        return cls(**values, signature=signature)
+
+    def to_message(self) -> MapDecision:
+        """Return the decision as it was signed; raises ValueError for an impossible one."""
+        values = {name: value for name, value in asdict(self).items() if name != "rests_on"}
+        if self.signature is not None:
+            values["signature"] = np.frombuffer(bytes.fromhex(self.signature), np.uint8)
+        return MapDecision(**values)
+
 
 class ReviewFolder:
-    """The folder `review` of a folder of releases. Raises ReleaseError for invalid files, OSError of the disk."""
+    """The folder `review` of a folder of releases. Raises ReleaseError for invalid files, OSError of the disk.
 
-    def __init__(self, releases: Path) -> None:
+    With `operators` only decisions that one of them signed apply.
+    """
+
+    def __init__(self, releases: Path, operators: OperatorKeys | None = None) -> None:
+        self._operators = operators
+        self._verified: dict[str, bool] = {}
         self._held = releases / "review" / "held.json"
         self._pending = releases / "review" / "pending.json"
         self._decisions = releases / "review" / "decisions.jsonl"
@@ -159,34 +187,55 @@ class ReviewFolder:
         _write_changes(self._pending, applied.pending()[:MOST_PENDING], now_ns, neighbourhood)
         return applied
 
-    def reject_again(self, withdrawn: Corrections, *, who: str, why: str, time_ns: int) -> None:
-        """Reject corrections withdrawn by a roll-back, so that the same votes do not publish them again."""
-        self.append(
-            [
-                ReviewDecision(
-                    surface_id=int(row["surface_id"]),
-                    action="reject",
-                    offset_m=float(row["offset_m"]),
-                    who=who,
-                    why=why,
-                    time_ns=time_ns,
-                )
-                for row in withdrawn
-            ]
-        )
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Exclude others who check and record decisions."""
+        self._decisions.parent.mkdir(parents=True, exist_ok=True)
+        with (self._decisions.parent / ".deciding").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def newest(self) -> dict[int, ReviewDecision]:
+        """Return the last decision on each surface, of those that apply."""
+        decisions = self.decisions()
+        verified = {each.signature for each in decisions if self._is_verified(each)}
+        return {
+            each.surface_id: each
+            for each in decisions
+            if each.surface_id is not None
+            and (self._operators is None or (each.rests_on or each.signature) in verified)
+        }
+
+    def _is_verified(self, decision: ReviewDecision) -> bool:
+        """Return whether an operator signed it; each is verified once."""
+        if self._operators is None or decision.signature is None:
+            return False
+        line = decision.to_json()
+        if line not in self._verified:
+            try:
+                self._operators.check(decision.to_message())
+                self._verified[line] = True
+            except (ReleaseError, ValueError):
+                self._verified[line] = False
+        return self._verified[line]
 
     def _applicable(self, rows: NDArray[np.void]) -> dict[int, ReviewAction]:
         """Return row → action of the last decision on its surface, if it still refers to the votes' height."""
-        newest = {decision.surface_id: decision for decision in self.decisions()}
+        newest = self.newest()
         actions: dict[int, ReviewAction] = {}
         for at, surface_id in enumerate(rows["surface_id"].tolist()):
             decision = newest.get(surface_id)
-            if decision is None:
+            if decision is None or decision.offset_m is None:
                 continue
-            same_m = max(_SAME_M, _SAME_STANDARD_ERRORS * float(rows["standard_error_m"][at]))
-            if abs(decision.offset_m - float(rows["offset_m"][at])) <= same_m:
+            row = rows[at]
+            if is_same_change(decision.offset_m, float(row["offset_m"]), float(row["standard_error_m"])):
                 actions[at] = decision.action
         return actions
+
+
+def is_same_change(decided_m: float, offset_m: float, standard_error_m: float) -> bool:
+    """Return whether votes that give `offset_m` still give the height that was decided on."""
+    return abs(decided_m - offset_m) <= max(_SAME_M, _SAME_STANDARD_ERRORS * standard_error_m)
 
 
 def _read_changes(path: Path) -> list[HeldChange]:

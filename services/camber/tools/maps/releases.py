@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
-from camber.map_update.fusion.correction_rows import NONE, Corrections
+from camber.map_update.fusion.correction_rows import NONE
 from camber.map_update.fusion.votes import vote_values
+from camber.map_update.release.operator_decisions import other_offsets, roll_back
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history, reference_in
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import load_signing_key
 from camber.road_map.release_files import ReleaseFolder
 from camber.road_map.road_columns import ReleaseError
 from camber.road_map.store import MapStore
-from camber.runtime.clock import SystemClock
-from camber.tools.maps.review import user_name
+from camber.tools.maps.review import decision_of, user_name
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import NUMBER
 from camber.tools.options.parsers import tool_parser
@@ -45,6 +45,8 @@ def main(argv: Sequence[str]) -> int:
     choice.add_argument("--go-back", action="store_true", help="the release before in force again (store)")
     parser.add_argument("--uploads", type=Path, help="with --why: uploads.sqlite, for the votes by pseudonym")
     parser.add_argument("--signing-key", type=Path, help="with --roll-back: the key that signs releases")
+    text = "with --roll-back: the operator's key, needed where map_update has operator_keys"
+    parser.add_argument("--operator-key", type=Path, metavar="PEM", help=text)
     parser.add_argument("--who", default=user_name(), help="with --roll-back: who does it (the user's name)")
     parser.add_argument("--reason", help="with --roll-back: why; must be given")
     args = parser.parse_args(argv)
@@ -73,31 +75,16 @@ def _folder(args: argparse.Namespace) -> int:
     return 0
 
 
-def other_offsets(mine: Corrections, theirs: Corrections, *, gone: bool = False) -> Corrections:
-    """The rows of `mine` whose surface has another offset in `theirs`; with `gone` only those it does not have."""
-    at = np.searchsorted(theirs["surface_id"], mine["surface_id"])
-    there = at < len(theirs)
-    there[there] = theirs["surface_id"][at[there]] == mine["surface_id"][there]
-    other = ~there
-    if not gone:
-        other[there] = theirs["offset_m"][at[there]] != mine["offset_m"][there]
-    rows: Corrections = mine[other]
-    return rows
-
-
 def _roll_back(args: argparse.Namespace) -> int:
     if args.signing_key is None or not args.reason:
         raise ReleaseError("roll-back", "--signing-key and --reason", "both")
-    now_ns = SystemClock().now_ns()
     key = load_signing_key(args.signing_key)
-    making = ReleaseBuilder(args.path, reference_in(args.path), signing_key=key)
-    before = making.corrections()
-    root = making.roll_back(args.roll_back, time_ns=now_ns)
-    withdrawn = other_offsets(before, making.corrections())
-    why = f"rolled back to version {args.roll_back}: {args.reason}"
-    ReviewFolder(args.path).reject_again(withdrawn, who=args.who, why=why, time_ns=now_ns)
-    text = f"version {root.map_version} has the corrections of {args.roll_back}"
-    print(f"{text}; {len(withdrawn)} were withdrawn")
+    builder = ReleaseBuilder(args.path, reference_in(args.path), signing_key=key)
+    args.why = args.reason
+    decision = decision_of(args, "roll_back", map_version=args.roll_back)
+    done = roll_back(ReviewFolder(args.path), decision, builder, time_ns=decision.time_ns)
+    text = f"version {done.root.map_version} has the corrections of {args.roll_back}"
+    print(f"{text}; {done.withdrawn} were withdrawn")
     return 0
 
 
@@ -121,7 +108,7 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
         else:
             lines.append(f"{made.manifest.map_version:>8}  as the reference")
     decided = [each for each in ReviewFolder(folder).decisions() if each.surface_id == surface_id]
-    lines += [f"{each.action} at {each.offset_m:+.3f} m by {each.who}: {each.why}" for each in decided]
+    lines += [f"{each.action} at {each.offset_m or 0.0:+.3f} m by {each.who}: {each.why}" for each in decided]
     return lines if uploads is None else lines + _votes(uploads, surface_id)
 
 

@@ -14,12 +14,20 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_update.release.review import HeldChange, ReviewAction, ReviewDecision, ReviewFolder
+from camber.map_update.release.operator_decisions import decide
+from camber.map_update.release.review import HeldChange, ReviewDecision, ReviewFolder
+from camber.road_map.operator_keys import sign_decision
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
+from camber.road_map.signing_keys import load_signing_key
 from camber.runtime.clock import SystemClock
+from camber.schemas.fleet import MapDecision, ReviewAction
+from camber.schemas.refused_field import first_refused
 from camber.tools.maps.geojson import degrees, feature_collection, make_feature
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import LATITUDE, LONGITUDE, NUMBER, each_of
@@ -45,6 +53,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--geojson", type=Path, metavar="FILE", help=text)
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
     parser.add_argument("--why", help="why; must be given with a decision")
+    text = "the operator's Ed25519 key that signs the decision; needed where map_update has operator_keys"
+    parser.add_argument("--operator-key", type=Path, metavar="PEM", help=text)
     args = parser.parse_args(argv)
     return report_failures(_PROG, args.releases, lambda: _carry_out(args))
 
@@ -62,25 +72,46 @@ def _carry_out(args: argparse.Namespace) -> int | str:
         raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
     review = ReviewFolder(args.releases)
     if args.log:
-        for each in review.decisions():
-            print(f"{each.surface_id:>12}  {each.action:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
+        print("\n".join(map(log_line, review.decisions())))
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
         return _listed(args, review.pending() if args.pending else review.held())
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
-    action: ReviewAction = "accept" if args.accept else "reject"
     held = {each.surface_id: each for each in review.held()}
     unknown = sorted(set(chosen) - held.keys())
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
-    decision = {"action": action, "who": args.who, "why": args.why, "time_ns": SystemClock().now_ns()}
-    offsets_m = {surface: held[surface].offset_m for surface in chosen}
-    review.append(
-        [ReviewDecision(surface_id=n, offset_m=offset_m, **decision) for n, offset_m in offsets_m.items()]
+    action: ReviewAction = "accept" if args.accept else "reject"
+    decide(
+        review,
+        [
+            decision_of(args, action, surface_id=number, offset_m=held[number].offset_m)
+            for number in dict.fromkeys(chosen)
+        ],
     )
     return f"{len(chosen)} changes: {action}; map_update applies it in its next cycle"
+
+
+def decision_of(args: argparse.Namespace, action: ReviewAction, **values: Any) -> MapDecision:
+    """A decision by `--who` for `--why`, signed where there is a key."""
+    time_ns = SystemClock().now_ns()
+    try:
+        decision = MapDecision(time_ns=time_ns, action=action, who=args.who, why=args.why, **values)
+    except ValidationError as error:
+        refused = first_refused(error)
+        raise ReleaseError("decision", refused.name, refused.expected) from None
+    key = args.operator_key
+    return decision if key is None else sign_decision(decision, load_signing_key(key))
+
+
+def log_line(decision: ReviewDecision) -> str:
+    """A decision of the record."""
+    what = f"{decision.surface_id:>19}" if decision.surface_id is not None else f"{'':>19}"
+    detail = f"{decision.offset_m:+8.3f} m" if decision.offset_m is not None else f"to {decision.map_version}"
+    by = f", key {decision.key_id}" if decision.key_id else ""
+    return f"{what}  {decision.action:<9}  {detail:<10}  {decision.who}: {decision.why}{by}"
 
 
 def _listed(args: argparse.Namespace, changes: Sequence[HeldChange]) -> str:

@@ -10,11 +10,13 @@ import pytest
 from camber.map_update.contribution import OBSERVATION, QUALITIES, Contribution
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.release.fusion_cycle import FusionCycle, FusionDecision, IngestResult
+from camber.map_update.release.operator_decisions import decide, roll_back
 from camber.map_update.release.release_builder import ReleaseBuilder
-from camber.map_update.release.review import ReviewDecision, ReviewFolder
+from camber.map_update.release.review import ReviewFolder
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import OvertakenError, Store
 from camber.road_map.release import open_release, read_release
+from camber.schemas.fleet import MapDecision
 from support.contributions import committed
 from support.small_map import DAY_NS, MADE_NS, at, link, surface, write
 
@@ -191,21 +193,22 @@ def test_the_next_cycle_applies_accepted_changes_and_roll_backs(tmp_path: Path, 
     all_steps(cycle, NOW_NS)
     review = ReviewFolder(tmp_path / "out")
     assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
-    signed = {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS}
-    for held in review.held():
-        decision = ReviewDecision(
-            surface_id=held.surface_id, action="accept", offset_m=held.offset_m, **signed
-        )
-        review.append([decision])
+    by = {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS}
+    decide(
+        review,
+        [
+            MapDecision(action="accept", surface_id=held.surface_id, offset_m=held.offset_m, **by)
+            for held in review.held()
+        ],
+    )
     published = cycle.step(NOW_NS + 2 * 10**9)
     assert isinstance(published, FusionDecision)
     assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)
     assert review.held() == []
 
     builder = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
-    withdrawn = builder.corrections()
-    builder.roll_back(published.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
-    review.reject_again(withdrawn, who="ann", why="it was not", time_ns=NOW_NS + 3 * 10**9)
+    back = MapDecision(action="roll_back", map_version=published.root.map_version - 1, **by)
+    assert roll_back(review, back, builder, time_ns=NOW_NS + 3 * 10**9).withdrawn == len(CHANGED)
     again = cycle.step(NOW_NS + 5 * 10**9)
     assert isinstance(again, FusionDecision)
     assert again.root.map_version == published.root.map_version + 1

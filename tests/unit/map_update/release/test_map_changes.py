@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from camber.map_update.fusion.correction_rows import CORRECTION
 from camber.map_update.fusion.publication_decision import ALARM, DECISION, DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
+from camber.map_update.fusion.votes import NO_RANK, SAMPLES, VOTE
 from camber.map_update.release import map_changes as module
-from camber.map_update.release.map_changes import map_changes
+from camber.map_update.release.map_changes import MOST_ROWS, map_changes, votes_by_day
 from camber.road_map.release import open_release
-from camber.schemas.fleet import HELD_REASONS, MapChanges
+from camber.schemas.codec import encode
+from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
 from support.small_map import MADE_NS, at, surface, write
 
 SURFACES = 6
@@ -64,6 +67,47 @@ def test_held_changes_have_place_reason_and_votes_the_largest_first(
     assert (held.votes.tolist(), held.vehicles.tolist()) == ([21, 21], [7, 7])
     places = np.column_stack((held.latitude_rad, held.longitude_rad))
     assert places == pytest.approx(np.array([at(60.0, 0.0), at(20.0, 0.0)]), abs=1e-9)
+
+
+def test_pending_changes_are_those_nearest_to_publication_first(neighbourhood: SurfaceNeighbourhood) -> None:
+    decided = decisions(
+        (1, "nothing", "too_few_days", 0.05),
+        (2, "nothing", "changed_back", 0.2),
+        (3, "nothing", "not_significant", -0.09),
+    )
+    shown = changes_of(neighbourhood, decided, NO_CORRECTIONS, NO_ALARMS)
+    assert shown.pending is not None
+    assert shown.pending.surface_id.tolist() == [3, 1]
+    assert shown.pending.link_id.tolist() == [0, 0]
+    assert [HELD_REASONS[k] for k in shown.pending.reason.tolist()] == ["not_significant", "too_few_days"]
+
+
+def test_votes_of_a_day_are_counts_and_quartiles_without_voters() -> None:
+    votes = np.zeros(5, VOTE)
+    votes["voter"], votes["session"] = (7, 8, 9, 7, 8), (100, 100, 100, 101, 103)
+    votes["rank_0"], votes["deviation_0_m"], votes["sigma_0_m"] = 1, (0.3, 0.1, 0.2, 0.25, 0.4), 0.01
+    for k in range(1, SAMPLES):
+        votes[f"rank_{k}"] = NO_RANK
+    shown = votes_by_day(votes, time_ns=MADE_NS)
+    assert date(1970, 1, 1) + timedelta(days=int(shown.day[0])) == date(1980, 1, 6) + timedelta(days=100)
+    assert np.diff(shown.day).tolist() == [1, 2]
+    assert shown.vehicles.tolist() == [3, 1, 1]
+    assert shown.offset_m == pytest.approx([0.2, 0.25, 0.4])
+    assert (shown.low_m[0], shown.high_m[0]) == pytest.approx((0.15, 0.25))
+    assert len(votes_by_day(votes[:0], time_ns=MADE_NS).day) == 0
+
+
+def test_the_largest_reply_has_room() -> None:
+    """As `map_changes` fills it: all tables with as many rows as are kept."""
+    f8, f4, i4, u1 = (np.zeros(MOST_ROWS, kind) for kind in (np.float64, np.float32, np.int32, np.uint8))
+    ids = np.zeros(MOST_ROWS, np.int64)
+    place = {"latitude_rad": f8, "longitude_rad": f8}
+    rows = {"surface_id": ids, "link_id": ids, "offset_m": f4, "vehicles": i4, **place}
+    held = HeldChanges(in_map_m=f4, standard_error_m=f4, agreement=f4, votes=i4, days=i4, reason=u1, **rows)
+    published = PublishedChanges(sigma_m=f4, since_map_version=ids, **rows)
+    alarms = RegionAlarms(everywhere=u1, shift_m=f4, share=f4, surfaces=i4, **place)
+    tables = {"held": held, "pending": held, "published": published, "alarms": alarms}
+    assert len(encode(MapChanges(time_ns=MADE_NS, status="known", map_version=2**62, **tables))) < 256_000
 
 
 def test_published_changes_are_the_newest_first_without_those_that_are_none(

@@ -1,0 +1,152 @@
+"""Decisions of operators: checked, recorded with who and why, carried out; what is refused changes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from pydantic import ValidationError
+
+from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, Decisions
+from camber.map_update.release.operator_decisions import decide, roll_back
+from camber.map_update.release.review import ReviewFolder
+from camber.road_map.operator_keys import OperatorKeys, load_operator_keys, sign_decision
+from camber.road_map.road_columns import ReleaseError
+from camber.schemas.fleet import MapDecision
+from support.release_world import KEY, OTHER_KEY, making, offsets, public_pem
+from support.small_map import MADE_NS
+
+
+@pytest.fixture
+def operators(tmp_path: Path) -> OperatorKeys:
+    (tmp_path / "operators").mkdir()
+    (tmp_path / "operators" / "ann.pub").write_bytes(public_pem(KEY))
+    return load_operator_keys(tmp_path / "operators")
+
+
+def held(folder: Path, offset_m: float = 0.31) -> Decisions:
+    rows = np.zeros(1, DECISION)
+    rows["surface_id"], rows["offset_m"], rows["decision"] = 4, offset_m, DECISIONS.index("hold")
+    decisions = Decisions(surfaces=rows)
+    ReviewFolder(folder).apply(decisions, MADE_NS)
+    return decisions
+
+
+def decision(key: Ed25519PrivateKey | None = KEY, **changed: Any) -> MapDecision:
+    values = {"action": "accept", "surface_id": 4, "offset_m": 0.31, "who": "ann", "why": "seen on site"}
+    made = MapDecision(time_ns=MADE_NS, **values | changed)
+    return made if key is None else sign_decision(made, key)
+
+
+def test_a_signed_decision_applies_and_the_record_shows_by_whom_and_why(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
+    decide(review, [decision()], operators)
+    assert DECISIONS[review.apply(decisions, MADE_NS).surfaces["decision"][0]] == "publish"
+    (recorded,) = review.decisions()
+    assert (recorded.who, recorded.why, recorded.action) == ("ann", "seen on site", "accept")
+    operators.check(recorded.to_message())
+
+
+@pytest.mark.parametrize(
+    ("changed", "refused"),
+    [
+        ({"key": None}, "signature"),
+        ({"key": OTHER_KEY}, "an operator's key"),
+        ({"surface_id": 5}, "one that is held"),
+        ({"surface_id": None, "offset_m": None}, "one that is held"),
+        ({"offset_m": 0.2}, r"\+0.310 m, which the votes give now"),
+    ],
+)
+def test_what_is_refused_is_not_recorded(
+    tmp_path: Path, operators: OperatorKeys, changed: dict[str, Any], refused: str
+) -> None:
+    held(tmp_path)
+    review = ReviewFolder(tmp_path, operators)
+    with pytest.raises(ReleaseError, match=refused):
+        decide(review, [decision(**changed)], operators)
+    assert review.decisions() == []
+
+
+def test_a_decision_changed_after_it_was_signed_is_refused(tmp_path: Path, operators: OperatorKeys) -> None:
+    held(tmp_path)
+    forged = MapDecision(**decision().__dict__ | {"why": "another reason"})
+    with pytest.raises(ReleaseError, match="signature"):
+        decide(ReviewFolder(tmp_path), [forged], operators)
+
+
+def test_a_change_is_decided_once_until_the_votes_give_another_height(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    held(tmp_path)
+    review = ReviewFolder(tmp_path, operators)
+    decide(review, [decision()], operators)
+    for again in (decision(), decision(action="reject", who="ben")):
+        with pytest.raises(ReleaseError, match="decided already: accept by ann"):
+            decide(review, [again], operators)
+    held(tmp_path, 0.42)
+    decide(review, [decision(action="reject", offset_m=0.42)], operators)
+    assert [each.action for each in review.decisions()] == ["accept", "reject"]
+
+
+def test_of_several_decisions_none_is_recorded_where_one_is_refused(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    held(tmp_path)
+    with pytest.raises(ReleaseError, match="one that is held"):
+        decide(ReviewFolder(tmp_path), [decision(), decision(surface_id=9)], operators)
+    assert ReviewFolder(tmp_path).decisions() == []
+
+
+@pytest.mark.parametrize("missing", [{"who": " "}, {"why": ""}])
+def test_a_decision_has_who_and_why(missing: dict[str, str]) -> None:
+    with pytest.raises(ValidationError):
+        decision(**missing)
+
+
+def test_unsigned_lines_of_the_record_do_not_apply_where_operators_have_keys(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    decisions = held(tmp_path)
+    decide(ReviewFolder(tmp_path), [decision(None)])
+    assert DECISIONS[ReviewFolder(tmp_path).apply(decisions, MADE_NS).surfaces["decision"][0]] == "publish"
+    result = ReviewFolder(tmp_path, operators).apply(decisions, MADE_NS)
+    assert DECISIONS[result.surfaces["decision"][0]] == "hold"
+
+
+def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    builder = making(tmp_path)
+    for step, rows in enumerate((offsets(), offsets(s3=0.05), offsets(s3=0.08, s5=-0.04))):
+        builder.build(rows, time_ns=MADE_NS + step)
+    review = ReviewFolder(builder.folder, operators)
+    back = decision(action="roll_back", surface_id=None, offset_m=None, map_version=9)
+    for refused in (
+        decision(
+            OTHER_KEY,
+            **{name: getattr(back, name) for name in ("action", "surface_id", "offset_m", "map_version")},
+        ),
+        decision(action="roll_back", surface_id=None, offset_m=None, map_version=77),
+        decision(action="roll_back"),
+    ):
+        with pytest.raises(ReleaseError):
+            roll_back(review, refused, builder, time_ns=MADE_NS, operators=operators)
+    assert review.decisions() == []
+    done = roll_back(review, back, builder, time_ns=MADE_NS + 9, operators=operators)
+    assert (done.root.map_version, done.withdrawn) == (11, 2)
+    assert builder.corrections()["surface_id"].tolist() == [3]
+    with pytest.raises(ReleaseError, match="not made before"):
+        roll_back(review, back, builder, time_ns=MADE_NS + 10, operators=operators)
+    rows = np.zeros(1, DECISION)
+    rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
+    assert DECISIONS[review.apply(Decisions(surfaces=rows), MADE_NS).surfaces["decision"][0]] == "nothing"
+
+
+def test_a_folder_without_keys_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ReleaseError, match=r"NAME\.pub"):
+        load_operator_keys(tmp_path)
