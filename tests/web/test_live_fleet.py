@@ -83,13 +83,14 @@ def map_changes(**changed: object) -> MapChanges:
     f4, i4 = np.float32, np.int32
     latitude_rad, longitude_rad = np.radians([35.0]), np.radians([137.0])
     held = HeldChanges(
-        surface_id=np.array([11]), latitude_rad=latitude_rad, longitude_rad=longitude_rad,
+        surface_id=np.array([11]), link_id=np.array([7]), latitude_rad=latitude_rad, longitude_rad=longitude_rad,
         in_map_m=np.array([0.0], f4), offset_m=np.array([0.62], f4), standard_error_m=np.array([0.008], f4),
         agreement=np.array([0.9], f4), vehicles=np.array([7], i4), votes=np.array([21], i4),
         days=np.array([3], i4), reason=np.array([HELD_REASONS.index("too_large")], np.uint8),
     )  # fmt: skip
     published = PublishedChanges(
-        surface_id=np.array([12]), latitude_rad=latitude_rad, longitude_rad=longitude_rad + 1.15e-5,
+        surface_id=np.array([12]), link_id=np.array([7]),
+        latitude_rad=latitude_rad, longitude_rad=longitude_rad + 1.15e-5,
         offset_m=np.array([-0.052], f4), sigma_m=np.array([0.011], f4), vehicles=np.array([9], i4),
         since_map_version=np.array([4]),
     )  # fmt: skip
@@ -130,15 +131,21 @@ def test_changes_of_the_map_are_on_the_map_and_in_a_list() -> None:
             shown.wait_for(f"{line} === 'map_update does not say which: ' + {hostile!r}")
             assert shown.page.locator("camber-changes img").count() == 0
         ends.enter_context(answering(endpoint, map_changes()))
-        shown.wait_for(f"{line} === '1 held, 1 published, 1 alarm'")
+        shown.wait_for(f"{line} === '1 held, 0 pending, 1 published, 1 alarm'")
         page = shown.page
         rows = {
             kind: page.locator(f"camber-changes [data-kind={kind}]")
             for kind in ("held", "published", "alarm")
         }
-        assert "+62.0 cm, surface 11±0.8 cm, 21 votes of 7 vehicles on 3 days" in rows["held"].text_content()
+        assert (
+            "+62.0 cm, link 7, surface 11±0.8 cm, 21 votes of 7 vehicles on 3 days"
+            in rows["held"].text_content()
+        )
         assert "larger than is published unseen" in rows["held"].text_content()
-        assert "−5.2 cm, surface 12±1.1 cm, 9 vehicles, since version 4" in rows["published"].text_content()
+        assert (
+            "−5.2 cm, link 7, surface 12±1.1 cm, 9 vehicles, since version 4"
+            in rows["published"].text_content()
+        )
         assert "+6.0 cm75 % of 40 surfaces in this region" in rows["alarm"].text_content()
         rows["held"].get_by_role("button").click()
         shown.wait_for(

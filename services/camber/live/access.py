@@ -58,17 +58,17 @@ class Guard:
     def _allowed(self, connection: HTTPConnection) -> bool:
         host = connection.headers.get("host", "")
         origin = connection.headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and origin_of(origin) != host:
             return False
         if self._token is None:
             return _name_of(host) in LOOPBACK
-        return _same(connection.cookies.get(COOKIE, ""), self._token)
+        return is_same_text(connection.cookies.get(COOKIE, ""), self._token)
 
     def _answer(self, connection: HTTPConnection) -> ASGIApp:
         """Take a token from the address into a cookie, or say what is missing."""
         if self._token is None:
             return PlainTextResponse("this page is for browsers on its own machine", 403)
-        if not _same(connection.query_params.get("token", ""), self._token):
+        if not is_same_text(connection.query_params.get("token", ""), self._token):
             return PlainTextResponse("open the address with ?token=… that camber live printed", 403)
         response = RedirectResponse("/", 303)
         response.set_cookie(
@@ -77,8 +77,17 @@ class Guard:
         return response
 
 
-def _same(given: str, token: str) -> bool:
+def is_same_text(given: str, token: str) -> bool:
+    """Return whether a secret is the one given, in a time that does not depend on where they differ."""
     return hmac.compare_digest(given.encode(), token.encode())
+
+
+def origin_of(origin: str) -> str:
+    """Host and port of an origin, empty where it has none."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _name_of(host: str) -> str:

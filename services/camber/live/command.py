@@ -1,12 +1,14 @@
-"""`camber live`: a web page of what is on the bus, of a recording, or of a finished replay. It reads only.
+"""`camber live`: a web page of what is on the bus, of a recording, or of a finished replay.
 
     camber live                     the vehicle on the bus
     camber live out/demo            a run of `camber replay` or `camber demo`, with its truth and its map
     camber live --fleet             all vehicles on the bus, and the services of the cloud
+    camber live --fleet --review ann.key    the same; changes of the map can be decided, signed with this key
     camber live drive.mcap          a recording of `camber record`; --map gives it a map
 
 The page is for browsers on this machine. Another address is served only with --token, and over TLS where a certificate
-is given. Without a token only requests to this machine's names are answered, in a container too.
+is given. Without a token only requests to this machine's names are answered, in a container too. The page only shows,
+but with --review: then it always has a token, and on another address TLS too.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import secrets
 import socket
 import sys
 import webbrowser
@@ -30,7 +33,7 @@ from camber.live.map_tiles import MapTiles, ReleaseSource
 from camber.live.rows import LAYOUTS, RowWriter
 from camber.live.sources import BusSource, RecordingSource
 from camber.live.web_server import LiveState, application
-from camber.road_map.release import ReleaseError, open_release
+from camber.road_map.release import ReleaseError, load_signing_key, open_release
 from camber.schemas.channels import SERVICES, VEHICLE_SERVICES
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import whole_from
@@ -56,6 +59,8 @@ def main(argv: Sequence[str]) -> int:
     """Serve until a signal."""
     args = _parser().parse_args(argv)
     token = args.token or os.environ.get(_TOKEN_VARIABLE) or None
+    if args.review is not None and token is None:
+        token = secrets.token_urlsafe(_LEAST_TOKEN)
     try:
         _check(args, token)
         state = _state(args)
@@ -113,8 +118,10 @@ def _bus(args: argparse.Namespace) -> LiveState:
 def _fleet(args: argparse.Namespace) -> LiveState:
     from camber.live.fleet import FleetSource
     from camber.live.health_watch import HealthWatch, MapChangesWatch
+    from camber.live.review import MapReview
 
     settings = bus_settings(args, prog=_PROG, vehicle=FLEET)
+    key = None if args.review is None else load_signing_key(args.review)
     return LiveState(
         title=FLEET,
         history=History(LAYOUTS, 1),
@@ -122,6 +129,7 @@ def _fleet(args: argparse.Namespace) -> LiveState:
         tiles=None if args.map is None else _tiles(args.map),
         health=HealthWatch(settings, [name for name in SERVICES if name not in VEHICLE_SERVICES]),
         changes=MapChangesWatch(settings),
+        review=MapReview(settings, key),
         raster=args.raster,
     )
 
@@ -176,6 +184,15 @@ def _check(args: argparse.Namespace, token: str | None) -> None:
         raise ValueError(f"--token: expected at least {_LEAST_TOKEN} characters")
     if args.fleet and (args.path is not None or args.vehicle is not None):
         raise ValueError("--fleet: expected neither a file nor --vehicle with it")
+    if args.review is not None and not args.fleet:
+        raise ValueError("--review: expected with --fleet")
+    if (
+        args.review is not None
+        and args.host not in LOOPBACK
+        and not args.published_on_loopback
+        and args.certificate is None
+    ):
+        raise ValueError(f"--host {args.host}: with --review expected --certificate and --key for TLS")
     if (args.certificate is None) != (args.key is None):
         raise ValueError("--certificate and --key: expected both or none")
     if args.raster is not None and urlsplit(args.raster).scheme not in ("http", "https"):
@@ -236,6 +253,8 @@ def _parser() -> argparse.ArgumentParser:
         help="folder of a run, or a recording (default: the bus)",
     )
     add("--fleet", action="store_true", help="all vehicles on the bus")
+    text = "decide on changes of the map: the operator's Ed25519 key, which signs (with --fleet)"
+    add("--review", type=Path, metavar="KEYFILE", help=text)
     add("--vehicle", metavar="V", help="name of the vehicle on the bus (default: that of --config)")
     add_bus_options(parser)
     add(

@@ -29,10 +29,12 @@ from camber.live.fleet import FleetSource
 from camber.live.health_watch import HealthWatch, MapChangesWatch
 from camber.live.history import Cursor, History, columns_of
 from camber.live.map_tiles import MapTiles
+from camber.live.review import HEADER, MOST_BYTES, Answer, MapReview
 from camber.live.rows import TERMS
 from camber.live.runbook import runbook_entries
 from camber.live.sources import Source
 from camber.road_map.release import ReleaseError
+from camber.road_map.tile_checks import MAX_ID
 from camber.road_map.tile_grid import TILES
 
 STATIC = Path(__file__).with_name("static")
@@ -61,6 +63,7 @@ class LiveState:
     map_problem: str = ""
     health: HealthWatch | None = None
     changes: MapChangesWatch | None = None
+    review: MapReview | None = None
     raster: str | None = None
     notes: tuple[str, ...] = ()
     browsers: int = 0
@@ -83,6 +86,7 @@ class LiveState:
             "raster": self.raster,
             "notes": self.notes,
             "health": self.health is not None,
+            "review": None if self.review is None else self.review.token,
         }
 
     def status(self) -> dict[str, Any]:
@@ -160,6 +164,15 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
     async def runbook(_: Request) -> Response:
         return JSONResponse(runbook_entries())
 
+    async def votes(request: Request) -> Response:
+        review, surface_id = state.review, request.path_params["surface_id"]
+        if review is None or surface_id > MAX_ID:
+            return Response(status_code=404)
+        return _answered(await asyncio.to_thread(review.votes, surface_id))
+
+    async def decision(request: Request) -> Response:
+        return await _decide(state.review, request)
+
     async def socket(websocket: WebSocket) -> None:
         await _serve(state, websocket)
 
@@ -171,11 +184,35 @@ def application(state: LiveState, *, token: str | None, images: str | None = Non
             Route("/verdict/{generation:int}/{row:int}", verdict),
             Route("/snapshot/{kind}/{time_s:float}", snapshot),
             Route("/runbook", runbook),
+            Route("/votes/{surface_id:int}", votes),
+            Route("/decision", decision, methods=["POST"]),
             WebSocketRoute("/stream", socket),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, token=token, images=images)],
     )
+
+
+async def _decide(review: MapReview | None, request: Request) -> Response:
+    """Carry a decision out, once the request is known to be of this page."""
+    if review is None:
+        return Response(status_code=404)
+    headers = request.headers
+    refusal = review.refusal(
+        host=headers.get("host", ""), origin=headers.get("origin"), token=headers.get(HEADER, "")
+    )
+    if refusal is not None:
+        return _answered(Answer(403, {"reason": refusal}))
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_BYTES:
+            return _answered(Answer(413, {"reason": f"expected at most {MOST_BYTES} bytes"}))
+    return _answered(await asyncio.to_thread(review.decide, body))
+
+
+def _answered(answer: Answer) -> Response:
+    return JSONResponse(answer.content, answer.code, headers={"cache-control": "no-store"})
 
 
 async def _tile(state: LiveState, place: dict[str, int]) -> Response:

@@ -48,7 +48,7 @@ const keys = {
   w: () => fix.show(), f: () => map.setFollow(!view.follow), a: () => map.fit(), p: () => map.setPoints(!view.points), s: () => map.scan.toggle(), t: changeTheme, "?": () => help.toggle(), Escape: () => view.select(NaN),
 };
 addEventListener("keydown", event => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input, dialog")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input, textarea, dialog")) return;
   if (event.key === " " && event.target.closest("button")) return;
   const action = keys[event.key];
   if (!action || !Number.isFinite(view.end) && event.key !== "?") return;

@@ -1,7 +1,8 @@
 // The map: roads of the release, the track by verdict, the newest fix beside the confirmed position, both to scale.
 
 import * as maplibregl from "./vendor/maplibre-gl/maplibre-gl.mjs";
-import { CHANGE_LEGEND } from "./changes.js";
+import { CHANGE_LEGEND, changeAt } from "./changes.js";
+import { keyOf } from "./decision.js";
 import { colour, element, plain, remPx, VERDICT_COLOURS } from "./dom.js";
 import { drawLegend, drawScaleAndNorth, keyLines, rampLines, RAMPS } from "./map_marks.js";
 import { Overlay, stateAt } from "./overlay.js";
@@ -75,11 +76,11 @@ export class CamberMap extends HTMLElement {
     map.on("dragstart", () => this.setFollow(false));
     map.on("mousemove", event => this.view.point(this.timeAt(event.point)));
     map.on("mouseout", () => this.view.point(NaN));
-    map.on("click", event => { const time = this.timeAt(event.point); if (Number.isFinite(time)) this.view.select(time); });
+    map.on("click", event => { if (this.store.greeting.mode === "fleet") { this.chooseChange(event.point); return; } const time = this.timeAt(event.point); if (Number.isFinite(time)) this.view.select(time); });
     // Tiles that cannot be read are named among the notes; the map goes on without them.
     map.on("error", event => { if (!/AJAXError|tile/i.test(event.error?.message ?? "")) this.problem = event.error?.message; });
     map.on("render", () => {
-      if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store, this.view.vehicle);
+      if (this.store.greeting.mode === "fleet") this.overlay.drawFleet(map, this.store, this.view);
       else if (this.now) this.overlay.draw(map, this.now, this.marked());
     });
   }
@@ -217,6 +218,11 @@ export class CamberMap extends HTMLElement {
     this.map.jumpTo({ center, zoom: Math.max(this.map.getZoom(), zoom) });
   }
 
+  chooseChange(point) {
+    const chosen = changeAt(this.map, this.store.changes, point);
+    if (chosen) { this.setFollow(false); this.view.lookAt(keyOf(chosen.kind, chosen.row)); }
+  }
+
   mark() { this.map?.triggerRepaint(); }
 
   // Places of the verdicts at the cursor and of the one that is looked at.
@@ -281,6 +287,6 @@ function rampExpression(name) {
   return ["interpolate", ["linear"], value, ...RAMPS[name].stops.flat()];
 }
 
-const changedPlaces = ({ changes }) => changes ? [...changes.held, ...changes.published, ...changes.alarms] : [];
+const changedPlaces = ({ changes }) => changes ? [...changes.held, ...changes.pending, ...changes.published, ...changes.alarms] : [];
 
 customElements.define("camber-map", CamberMap);

@@ -66,9 +66,9 @@ export class Overlay {
   }
 
   // Every vehicle with its name: red where its position may not be used, grey where nothing comes from it any more.
-  drawFleet(map, { fleet: vehicles, changes }, selected) {
+  drawFleet(map, { fleet: vehicles, changes }, { vehicle: selected, changeKey }) {
     const c = this.begin(map);
-    drawChanges(this, changes);
+    drawChanges(this, changes, changeKey);
     c.font = `${12 * this.unit}px system-ui, sans-serif`;
     for (const vehicle of vehicles) {
       if (!Number.isFinite(vehicle.lat)) continue;

@@ -18,6 +18,7 @@ export class View extends EventTarget {
     this.points = false;
     this.scan = false;
     this.level = "all";
+    this.changeKey = ""; // change of the map that is looked at
     this.pinned = false; // the end came from the address
     this.restore();
   }
@@ -123,6 +124,11 @@ export class View extends EventTarget {
     }
     this.change("selection");
     this.change();
+  }
+
+  lookAt(key) {
+    this.changeKey = key;
+    this.change("change");
   }
 
   point(time) {
