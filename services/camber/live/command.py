@@ -119,6 +119,7 @@ def _fleet(args: argparse.Namespace) -> LiveState:
     from camber.live.fleet import FleetSource
     from camber.live.health_watch import HealthWatch, MapChangesWatch
     from camber.live.review import MapReview
+    from camber.tools.maps.road_names import road_names
 
     settings = bus_settings(args, prog=_PROG, vehicle=FLEET)
     key = None if args.review is None else load_signing_key(args.review)
@@ -128,7 +129,7 @@ def _fleet(args: argparse.Namespace) -> LiveState:
         source=FleetSource(settings),
         tiles=None if args.map is None else _tiles(args.map),
         health=HealthWatch(settings, [name for name in SERVICES if name not in VEHICLE_SERVICES]),
-        changes=MapChangesWatch(settings),
+        changes=MapChangesWatch(settings, {} if args.roads is None else road_names(args.roads)),
         review=MapReview(settings, key),
         raster=args.raster,
     )
@@ -184,8 +185,9 @@ def _check(args: argparse.Namespace, token: str | None) -> None:
         raise ValueError(f"--token: expected at least {_LEAST_TOKEN} characters")
     if args.fleet and (args.path is not None or args.vehicle is not None):
         raise ValueError("--fleet: expected neither a file nor --vehicle with it")
-    if args.review is not None and not args.fleet:
-        raise ValueError("--review: expected with --fleet")
+    for name in ("review", "roads"):
+        if getattr(args, name) is not None and not args.fleet:
+            raise ValueError(f"--{name}: expected with --fleet")
     if (
         args.review is not None
         and args.host not in LOOPBACK
@@ -255,6 +257,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--fleet", action="store_true", help="all vehicles on the bus")
     text = "decide on changes of the map: the operator's Ed25519 key, which signs (with --fleet)"
     add("--review", type=Path, metavar="KEYFILE", help=text)
+    text = "names of roads for --fleet: the .geojson or OpenStreetMap file that the map was made along"
+    add("--roads", type=Path, metavar="FILE", help=text)
     add("--vehicle", metavar="V", help="name of the vehicle on the bus (default: that of --config)")
     add_bus_options(parser)
     add(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from camber.runtime.bus import QueryFailed
@@ -22,6 +22,7 @@ from camber.schemas.fleet import (
     RegionAlarms,
 )
 from camber.schemas.health import HealthRequest
+from camber.tools.maps.road_names import road_text
 from camber.tools.operate.status_view import Answers, view_of
 
 _EVERY_S = 1.0  # chosen: as often as a person looks
@@ -97,32 +98,34 @@ class HealthWatch(QueryWatch):
 class MapChangesWatch(QueryWatch):
     """Changes of the map that `map_update` holds, has published and alarms, of all its workers together.
 
-    As JSON: `problem`, and lists of `held`, `pending`, `published` and `alarms`, with places in degrees.
+    As JSON: `problem`, and lists of `held`, `pending`, `published` and `alarms`, with places in degrees. `names`: of
+    roads by link.
     """
 
-    def __init__(self, settings: ServiceSettings) -> None:
+    def __init__(self, settings: ServiceSettings, names: Mapping[int, str]) -> None:
         super().__init__("changes", settings)
+        self._names = names
 
     def _ask(self, client: QueryClient) -> None:
         while not self._ended.is_set():
             request = MapChangesRequest(time_ns=SystemClock().now_ns())
             (replies,) = client.ask("map_changes", request, "fleet", ["map_update"]).values()
-            self._show(changes_as_json(replies))
+            self._show(changes_as_json(replies, self._names))
             self._ended.wait(_CHANGES_EVERY_S)
 
 
-def changes_as_json(replies: Sequence[MapChanges | QueryFailed]) -> dict[str, Any]:
-    """What all workers answered, for the page."""
+def changes_as_json(replies: Sequence[MapChanges | QueryFailed], names: Mapping[int, str]) -> dict[str, Any]:
+    """What all workers answered, for the page, with the names of roads by link."""
     known = [reply for reply in replies if isinstance(reply, MapChanges) and reply.status == "known"]
     problem = "" if known else "; ".join(r.reason if isinstance(r, MapChanges) else str(r) for r in replies)
     return {
         "problem": problem,
         "left_out": sum(reply.left_out for reply in known),
         "map_version": max((reply.map_version or 0 for reply in known), default=0),
-        "held": [_with_reason(row) for reply in known for row in _rows_of(reply.held)],
-        "pending": [_with_reason(row) for reply in known for row in _rows_of(reply.pending)],
-        "published": [row for reply in known for row in _rows_of(reply.published)],
-        "alarms": [row for reply in known for row in _rows_of(reply.alarms)],
+        "held": [_with_reason(row) for reply in known for row in _rows_of(reply.held, names)],
+        "pending": [_with_reason(row) for reply in known for row in _rows_of(reply.pending, names)],
+        "published": [row for reply in known for row in _rows_of(reply.published, names)],
+        "alarms": [row for reply in known for row in _rows_of(reply.alarms, names)],
     }
 
 
@@ -130,13 +133,17 @@ def _with_reason(row: dict[str, Any]) -> dict[str, Any]:
     return row | {"reason": HELD_REASONS[row["reason"]]}
 
 
-def _rows_of(columns: HeldChanges | PublishedChanges | RegionAlarms | None) -> list[dict[str, Any]]:
+def _rows_of(
+    columns: HeldChanges | PublishedChanges | RegionAlarms | None, names: Mapping[int, str]
+) -> list[dict[str, Any]]:
     """One table's rows by column; places are `lat` and `lon` in degrees, ids are texts."""
     if columns is None:
         return []
     values = {name: column.tolist() for name, column in columns}
     values["lat"] = [math.degrees(value) for value in values.pop("latitude_rad")]
     values["lon"] = [math.degrees(value) for value in values.pop("longitude_rad")]
+    if "link_id" in values:
+        values["road"] = [road_text(link_id, names) for link_id in values["link_id"]]
     for name in {"surface_id", "link_id"} & values.keys():
         values[name] = [str(value) for value in values[name]]  # JSON has 53 bits
     return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]

@@ -41,7 +41,7 @@ def answer(**more: Any) -> MapChanges:
 
 
 def test_each_change_has_its_place_and_its_numbers() -> None:
-    shown = json.loads(json.dumps(changes_as_json([answer()])))
+    shown = json.loads(json.dumps(changes_as_json([answer()], {3: "Elm Street"})))
     assert (shown["problem"], shown["left_out"]) == ("", 3)
     (held,), (published,), (alarm,) = shown["held"], shown["published"], shown["alarms"]
     assert (held["surface_id"], held["reason"], held["votes"], held["days"]) == (
@@ -52,6 +52,7 @@ def test_each_change_has_its_place_and_its_numbers() -> None:
     )
     assert held["link_id"] == str(LARGEST_ID - 1)
     assert shown["pending"] == [held]
+    assert (held["road"], published["road"]) == (f"link {LARGEST_ID - 1}", "Elm Street")
     assert (held["lat"], held["lon"]) == pytest.approx((math.degrees(0.5), math.degrees(1.0)))
     assert (held["offset_m"], held["in_map_m"]) == pytest.approx((0.08, 0.01))
     assert published["sigma_m"] == pytest.approx(0.01)
@@ -60,13 +61,13 @@ def test_each_change_has_its_place_and_its_numbers() -> None:
 
 def test_workers_add_up_and_one_that_knows_nothing_changes_nothing() -> None:
     unknown = MapChanges(time_ns=START_NS, status="unknown", reason="nothing has been fused yet")
-    shown = changes_as_json([answer(), unknown, answer(), QueryFailed("timeout")])
+    shown = changes_as_json([answer(), unknown, answer(), QueryFailed("timeout")], {})
     assert (len(shown["held"]), shown["left_out"], shown["problem"]) == (2, 6, "")
 
 
 def test_without_an_answer_the_reason_is_shown() -> None:
     unknown = MapChanges(time_ns=START_NS, status="unknown", reason="nothing has been fused yet")
-    assert changes_as_json([unknown])["problem"] == "nothing has been fused yet"
-    absent = changes_as_json([QueryFailed("absent", "map_update of fleet is not on the bus")])
+    assert changes_as_json([unknown], {})["problem"] == "nothing has been fused yet"
+    absent = changes_as_json([QueryFailed("absent", "map_update of fleet is not on the bus")], {})
     assert absent["problem"] == "absent: map_update of fleet is not on the bus"
     assert [absent[name] for name in ("held", "pending", "published", "alarms")] == [[], [], [], []]

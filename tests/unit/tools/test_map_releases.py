@@ -124,6 +124,15 @@ def test_the_nearest_changes_come_first_with_their_places_and_roads(folder: Path
     near = (f"{math.degrees(value):.7f}" for value in at(2390.0, 0.0))
     lines = output(capsys, "review", folder, "--near", *near).splitlines()
     assert [line.split()[:3] for line in lines[1:]] == [["10", "m", str(2**61 + 3)], ["1590", "m", "2"]]
+    geometry = {"type": "LineString", "coordinates": [[136.9, 35.1], [136.9, 35.2]]}
+    road = {
+        "type": "Feature",
+        "geometry": geometry,
+        "properties": {"link_id": str(2**61 + 1), "name": "Elm Street"},
+    }
+    (folder.parent / "roads.geojson").write_text(json.dumps({"features": [road]}))
+    named = output(capsys, "review", folder, "--roads", folder.parent / "roads.geojson")
+    assert named.count("Elm Street") == 2
     (_, pending) = output(capsys, "review", folder, "--pending").splitlines()
     assert pending.split()[0] == "5"
     assert pending.endswith("too few days")

@@ -147,7 +147,7 @@ class CamberChanges extends HTMLElement {
 
 function texts(kind, row) {
   if (kind === "alarm") return [centimetres(row.shift_m), `${Math.round(100 * row.share)} % of ${counted(row.surfaces, "surface")} ${row.everywhere ? "everywhere" : "in this region"}: a base station, a datum or the survey, not the roads`];
-  const title = `${centimetres(row.offset_m)}, link ${row.link_id}, surface ${row.surface_id}`;
+  const title = `${centimetres(row.offset_m)}, ${row.road}, surface ${row.surface_id}`;
   if (kind === "published") return [title, `${error(row.sigma_m)}, ${votesOf(row)}, since version ${row.since_map_version}`];
   return [title, `${error(row.standard_error_m)}, ${votesOf(row)} on ${counted(row.days, "day")}, ${Math.round(100 * row.agreement)} % agree; the map has ${centimetres(row.in_map_m)}; ${kind}: ${REASONS[row.reason] ?? plain(row.reason)}`];
 }
@@ -156,7 +156,7 @@ function texts(kind, row) {
 function facts(kind, row) {
   const place = ["place", `${row.lat.toFixed(6)}°, ${row.lon.toFixed(6)}°`];
   if (kind === "alarm") return [place, ["surfaces", String(row.surfaces)], ["share that moved", `${Math.round(100 * row.share)} %`]];
-  const road = [["road", `link ${row.link_id}`], ["surface", row.surface_id], place, ["contributors", counted(row.vehicles, "vehicle")]];
+  const road = [["road", row.road], ["surface", row.surface_id], place, ["contributors", counted(row.vehicles, "vehicle")]];
   if (kind === "published") return [...road, ["offset", `${centimetres(row.offset_m)} ${error(row.sigma_m)}`], ["since version", String(row.since_map_version)]];
   return [...road, ["votes", `${row.votes} on ${counted(row.days, "day")}`], ["the map has", centimetres(row.in_map_m)], ["the votes give", `${centimetres(row.offset_m)} ${error(row.standard_error_m)}`], ["agreement", `${Math.round(100 * row.agreement)} %`], ["why it waits", REASONS[row.reason] ?? plain(row.reason)]];
 }

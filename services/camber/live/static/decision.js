@@ -98,7 +98,7 @@ function heading(kind, row) {
 }
 
 function question(action, row) {
-  const road = `surface ${row.surface_id} of link ${row.link_id}`;
+  const road = `surface ${row.surface_id} of ${row.road}`;
   if (action === "roll_back") return `A new release gets the corrections of version ${row.since_map_version - 1}, for the whole fleet: it withdraws the change of ${road} and every one published since.`;
   return `The map has ${centimetres(row.in_map_m)} at ${road}, the votes give ${centimetres(row.offset_m)}: ${plain(row.reason)}.`;
 }

@@ -1,8 +1,8 @@
 """`camber map review RELEASES`: changes of the map that wait for a person, and what is decided of them.
 
 RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers, the middle of
-the surface and its road (the number of the link). With --near the nearest come first, with their distance. A decision
-names who and why; map_update applies it in its next cycle.
+the surface and its road: with --roads its name, else the number of the link. With --near the nearest come first, with
+their distance. A decision names who and why; map_update applies it in its next cycle.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import argparse
 import getpass
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from camber.runtime.clock import SystemClock
 from camber.schemas.fleet import MapDecision, ReviewAction
 from camber.schemas.refused_field import first_refused
 from camber.tools.maps.geojson import degrees, feature_collection, make_feature
+from camber.tools.maps.road_names import road_names, road_text
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import LATITUDE, LONGITUDE, NUMBER, each_of
 from camber.tools.options.output_check import check_output_file
@@ -49,6 +50,8 @@ def main(argv: Sequence[str]) -> int:
     text = "list the nearest to this place first [°]"
     nearest = each_of(LATITUDE, LONGITUDE)
     parser.add_argument("--near", action=nearest, nargs=2, metavar=("LAT", "LON"), help=text)
+    text = "names of roads: the .geojson or OpenStreetMap file that the map was made along"
+    parser.add_argument("--roads", type=Path, metavar="FILE", help=text)
     text = "write the list as points too, with ids as texts"
     parser.add_argument("--geojson", type=Path, metavar="FILE", help=text)
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
@@ -116,21 +119,24 @@ def log_line(decision: ReviewDecision) -> str:
 
 def _listed(args: argparse.Namespace, changes: Sequence[HeldChange]) -> str:
     """The changes as lines, and as a file where one is asked for."""
+    names = {} if args.roads is None else road_names(args.roads)
     distances_m = [_distance_m(change, args.near) for change in changes]
     if args.near is not None:
         order = sorted(range(len(changes)), key=lambda at: distances_m[at])
         changes, distances_m = [changes[at] for at in order], [distances_m[at] for at in order]
     if args.geojson is not None:
         check_output_file(args.geojson)
-        write_file(args.geojson, _as_geojson(changes).encode())
+        write_file(args.geojson, _as_geojson(changes, names).encode())
     if not changes:
         return "nothing is pending" if args.pending else "nothing is held"
     head = f"{'surface':>19}  {'latitude':>10}  {'longitude':>11}  {'road':<24}  {'map has':>9}  {'votes say':>9}"
     head = f"{head}  {'error':>7}  agree  vehicles  days  why"
     if args.near is None:
-        return "\n".join([head, *map(_line, changes)])
+        return "\n".join([head, *(_line(each, names) for each in changes)])
     pairs = zip(distances_m, changes, strict=True)
-    return "\n".join([f"{'distance':>10}  {head}", *(f"{m:>8.0f} m  {_line(each)}" for m, each in pairs)])
+    return "\n".join(
+        [f"{'distance':>10}  {head}", *(f"{m:>8.0f} m  {_line(each, names)}" for m, each in pairs)]
+    )
 
 
 def _distance_m(change: HeldChange, near_deg: tuple[float, float] | None) -> float:
@@ -144,24 +150,20 @@ def _distance_m(change: HeldChange, near_deg: tuple[float, float] | None) -> flo
     return math.hypot(*frame.enu_from_geodetic(latitude_rad, longitude_rad, 0.0))
 
 
-def _line(change: HeldChange) -> str:
+def _line(change: HeldChange, names: Mapping[int, str]) -> str:
     place = f"{'not known':>23}"
     if change.latitude_rad is not None and change.longitude_rad is not None:
         latitude, longitude = math.degrees(change.latitude_rad), math.degrees(change.longitude_rad)
         place = f"{latitude:>10.6f}  {longitude:>11.6f}"
+    road = road_text(change.link_id, names)
     return (
-        f"{change.surface_id:>19}  {place}  {road_of(change):<24}  {change.previous_correction_m:>+7.3f} m"
+        f"{change.surface_id:>19}  {place}  {road:<24}  {change.previous_correction_m:>+7.3f} m"
         f"  {change.offset_m:>+7.3f} m  {change.standard_error_m:>5.3f} m  {change.agreement:>5.2f}"
         f"  {change.vehicles:>8}  {change.days:>4}  {change.reason.replace('_', ' ')}"
     )
 
 
-def road_of(change: HeldChange) -> str:
-    """What a road is called."""
-    return "" if change.link_id is None else f"link {change.link_id}"
-
-
-def _as_geojson(changes: Sequence[HeldChange]) -> str:
+def _as_geojson(changes: Sequence[HeldChange], names: Mapping[int, str]) -> str:
     """Points of changes whose place is known."""
     features = []
     for change in changes:
@@ -169,6 +171,7 @@ def _as_geojson(changes: Sequence[HeldChange]) -> str:
             continue
         values = {name: value for name, value in asdict(change).items() if not name.endswith("_rad")}
         ids = {name: str(values[name]) for name in ("surface_id", "link_id")}
+        road = {"road": road_text(change.link_id, names)}
         point = [degrees(change.longitude_rad), degrees(change.latitude_rad)]
-        features.append(make_feature(ids["surface_id"], "Point", point, values | ids))
+        features.append(make_feature(ids["surface_id"], "Point", point, values | ids | road))
     return feature_collection(features)
