@@ -255,6 +255,11 @@ def test_requests_that_are_not_the_operators_are_refused(tmp_path: Path) -> None
         assert (code, "the votes give now" in text) == (409, True), text
         assert post(address, ACCEPT, x_camber_review=token) == (200, "")
         assert [(each.who, each.why) for each in review.decisions()] == [("Ann", "seen on site")]
+        back = {"action": "roll_back", "map_version": "8", "who": "Ann", "why": "a ferry was mapped"}
+        code, text = post(address, back | {"map_version": "77"}, x_camber_review=token)
+        assert (code, "one of 8, 7" in text) == (409, True), text
+        assert post(address, back, x_camber_review=token) == (200, "")
+        assert [(each.action, each.map_version) for each in review.decisions()][1:] == [("roll_back", 8)]
         for again in (ACCEPT, ACCEPT | {"action": "reject"}):
             code, text = post(address, again, x_camber_review=token)
             assert (code, "decided already: accept by Ann" in text) == (409, True), text

@@ -6,6 +6,7 @@ openssl pkey -in ann.key -pubout -out operators/ann.pub          # to map_update
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,22 @@ class OperatorKeys:
     """The public keys of those who may decide, by their ids."""
 
     keys: Mapping[str, Ed25519PublicKey]
+
+    def to_json(self) -> str:
+        """Return the keys as text: id and the 32 bytes in hexadecimal digits."""
+        return json.dumps(
+            {number: key.public_bytes_raw().hex() for number, key in self.keys.items()}, indent=1
+        )
+
+    @classmethod
+    def from_json(cls, text: bytes) -> OperatorKeys:
+        """Parse what `to_json` returns; raises ValueError, TypeError or AttributeError."""
+        rows = json.loads(text)
+        return cls(
+            keys={
+                number: Ed25519PublicKey.from_public_bytes(bytes.fromhex(raw)) for number, raw in rows.items()
+            }
+        )
 
     def check(self, decision: MapDecision) -> None:
         """Raise ReleaseError unless one of these keys signed the decision."""

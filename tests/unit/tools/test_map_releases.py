@@ -16,10 +16,11 @@ from camber.map_server.release_download import ReleaseDownload
 from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import build_neighbourhood
 from camber.map_update.release.review import ReviewFolder
-from camber.road_map.release import open_release, read_release
+from camber.road_map.operator_keys import OperatorKeys
+from camber.road_map.release import key_id, open_release, read_release
 from camber.road_map.store import MapStore
 from camber.tools.maps.command import main
-from support.release_world import KEY, Cloud, making, offsets
+from support.release_world import KEY, OTHER_KEY, Cloud, making, offsets
 from support.small_map import MADE_NS, at, surface, surfaces
 
 
@@ -136,6 +137,42 @@ def test_the_nearest_changes_come_first_with_their_places_and_roads(folder: Path
     (_, pending) = output(capsys, "review", folder, "--pending").splitlines()
     assert pending.split()[0] == "5"
     assert pending.endswith("too few days")
+
+
+def test_where_operators_have_keys_the_command_line_needs_one_of_them(folder: Path, capsys: Any) -> None:
+    held_and_pending(folder)
+    key, operators = folder.parent / "key", OperatorKeys(keys={key_id(KEY.public_key()): KEY.public_key()})
+    ReviewFolder(folder, operators).publish_operators()
+    (folder.parent / "other").write_bytes(
+        OTHER_KEY.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    )
+    accept = ("review", folder, "--accept", 2, "--who", "ann", "--why", "seen on site")
+    back = (
+        "releases",
+        folder,
+        "--roll-back",
+        9,
+        "--signing-key",
+        key,
+        "--reason",
+        "a ferry",
+        "--operator-key",
+    )
+    assert "signature" in output(capsys, *accept, code=2)
+    assert "an operator's key" in output(capsys, *accept, "--operator-key", folder.parent / "other", code=2)
+    assert "an operator's key" in output(capsys, *back, folder.parent / "other", code=2)
+    assert ReviewFolder(folder).decisions() == []
+    output(capsys, *accept, "--operator-key", key)
+    output(capsys, *back, key)
+    log = output(capsys, "review", folder, "--log").splitlines()
+    assert [line.split()[1] for line in log if not line.startswith(" " * 19)] == [
+        "accept",
+        "reject",
+        "reject",
+    ]
+    assert f"key {key_id(KEY.public_key())}" in log[0]
+    (folder / "review" / "operators.json").write_text("[]")
+    assert "keys of operators" in output(capsys, *accept, "--operator-key", key, code=2)
 
 
 def test_ids_in_geojson_keep_all_their_digits(folder: Path, capsys: Any) -> None:

@@ -74,6 +74,7 @@ class FusionCycle:
         self._every_ns, self._most_records = round(every_s * 1e9), most_records
         self._operators = operators
         self._review = ReviewFolder(builder.folder, operators)
+        self._review.publish_operators()
         self._due_ns: int | None = None
         self._decided_state: object = None  # external state at the last decision; None: votes are newer
 

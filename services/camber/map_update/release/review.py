@@ -5,6 +5,7 @@ Files beside the releases, in `review`, each with one kind of writer:
     held.json         the changes held now, with their numbers and places; rewritten by the fusion in each cycle
     pending.json      the same of changes that wait for more votes
     decisions.jsonl   decisions with reviewer, time and reason; lines are only appended
+    operators.json    the public keys of operators, if they have any, for tools; map_update trusts its settings only
 
 A decision refers to a change of a given height: it applies as long as the votes give the same height, and lapses when
 they give another one. The next fusion cycle applies it. Where operators have keys, a decision without the signature of
@@ -38,6 +39,7 @@ _SAME_M = 0.01
 _SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
 _MOST_BYTES = 64 << 20  # chosen: a quarter of a million decisions
+_MOST_KEYS_BYTES = 1 << 20  # chosen: ten thousand operators
 MOST_PENDING = 1000
 """Chosen: more than a person looks through; those nearest to publication are kept."""
 _NUMBERS = (
@@ -123,6 +125,7 @@ class ReviewFolder:
 
     def __init__(self, releases: Path, operators: OperatorKeys | None = None) -> None:
         self._operators = operators
+        self._published = releases / "review" / "operators.json"
         self._verified: dict[str, bool] = {}
         self._held = releases / "review" / "held.json"
         self._pending = releases / "review" / "pending.json"
@@ -186,6 +189,22 @@ class ReviewFolder:
         _write_changes(self._held, applied.of("hold"), now_ns, neighbourhood)
         _write_changes(self._pending, applied.pending()[:MOST_PENDING], now_ns, neighbourhood)
         return applied
+
+    def publish_operators(self) -> None:
+        """Write the keys of operators for tools, or remove them where there are none."""
+        if self._operators is None:
+            self._published.unlink(missing_ok=True)
+        else:
+            write_file(self._published, self._operators.to_json().encode())
+
+    def published_operators(self) -> OperatorKeys | None:
+        """Return the keys of operators as map_update wrote them; None: it has none."""
+        try:
+            return OperatorKeys.from_json(read_plain_file(self._published, _MOST_KEYS_BYTES))
+        except FileNotFoundError:
+            return None
+        except (ValueError, TypeError, AttributeError) as error:
+            raise ReleaseError(str(self._published), "file", f"keys of operators ({error})") from None
 
     @contextmanager
     def locked(self) -> Iterator[None]:

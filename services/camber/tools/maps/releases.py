@@ -82,7 +82,9 @@ def _roll_back(args: argparse.Namespace) -> int:
     builder = ReleaseBuilder(args.path, reference_in(args.path), signing_key=key)
     args.why = args.reason
     decision = decision_of(args, "roll_back", map_version=args.roll_back)
-    done = roll_back(ReviewFolder(args.path), decision, builder, time_ns=decision.time_ns)
+    review = ReviewFolder(args.path)
+    operators = review.published_operators()
+    done = roll_back(review, decision, builder, time_ns=decision.time_ns, operators=operators)
     text = f"version {done.root.map_version} has the corrections of {args.roll_back}"
     print(f"{text}; {done.withdrawn} were withdrawn")
     return 0

@@ -87,13 +87,11 @@ def _carry_out(args: argparse.Namespace) -> int | str:
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     action: ReviewAction = "accept" if args.accept else "reject"
-    decide(
-        review,
-        [
-            decision_of(args, action, surface_id=number, offset_m=held[number].offset_m)
-            for number in dict.fromkeys(chosen)
-        ],
-    )
+    decisions = [
+        decision_of(args, action, surface_id=number, offset_m=held[number].offset_m)
+        for number in dict.fromkeys(chosen)
+    ]
+    decide(review, decisions, review.published_operators())
     return f"{len(chosen)} changes: {action}; map_update applies it in its next cycle"
 
 
