@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +18,20 @@ from PIL import Image
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
-from camber.schemas.codec import encode, encoding_of
-from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
+from camber.schemas.base import Message
+from camber.schemas.codec import decode, encode, encoding_of
+from camber.schemas.fleet import (
+    HELD_REASONS,
+    HeldChanges,
+    MapChanges,
+    MapDecision,
+    MapDecisionReceipt,
+    PublishedChanges,
+    RegionAlarms,
+)
 from camber.schemas.integrity import Position
 from support.browser import chromium, served_address, watched
+from support.release_world import write_signing_keys
 from support.running import camber_started, loopback_router
 
 pytestmark = pytest.mark.slow
@@ -103,17 +115,25 @@ def map_changes(**changed: object) -> MapChanges:
 
 
 @contextmanager
-def answering(endpoint: str, reply: MapChanges) -> Iterator[None]:
-    """What `map_update` answers of changes of the map."""
+def answering(endpoint: str, *replies: Message) -> Iterator[list[MapDecision]]:
+    """What `map_update` answers of changes of the map and of decisions; the decisions that came."""
+    decisions: list[MapDecision] = []
 
-    def answer(query: zenoh.Query) -> None:
-        with query:
-            data = encode(reply, source="map_update")
-            query.reply(str(query.key_expr), data, encoding=encoding_of(MapChanges))
+    def answer_with(reply: Message) -> Callable[[zenoh.Query], None]:
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                if isinstance(reply, MapDecisionReceipt) and query.payload is not None:
+                    decisions.append(decode(MapDecision, query.payload.to_bytes()).message)
+                data = encode(reply, source="map_update")
+                query.reply(str(query.key_expr), data, encoding=encoding_of(type(reply)))
+
+        return answer
 
     with closing(open_session(ZenohSettings(mode="client", connect=[endpoint]))) as session:
-        session.declare_queryable("camber/v1/fleet/map/changes", answer)
-        yield
+        for reply in replies:
+            name = "decision" if isinstance(reply, MapDecisionReceipt) else "changes"
+            session.declare_queryable(f"camber/v1/fleet/map/{name}", answer_with(reply))
+        yield decisions
 
 
 def test_changes_of_the_map_are_on_the_map_and_in_a_list() -> None:
@@ -166,5 +186,46 @@ def test_changes_of_the_map_are_on_the_map_and_in_a_list() -> None:
             assert len(columns[kind]) > 60, kind
         assert np.median(columns["held"]) == pytest.approx(picture.width / 2, abs=4)
         assert np.median(columns["published"]) > picture.width / 2 + 20
+        assert (shown.complaints, shown.elsewhere()) == ([], [])
+        page.close()
+
+
+def test_on_a_phone_a_published_change_is_rolled_back_and_texts_of_others_stay_texts(tmp_path: Path) -> None:
+    hostile = "<img src=x onerror=\"document.title='taken'\">"
+    line = {"type": "LineString", "coordinates": [[137.0, 35.0], [137.0, 35.001]]}
+    road = {"type": "Feature", "geometry": line, "properties": {"link_id": "7", "name": hostile}}
+    (tmp_path / "roads.geojson").write_text(json.dumps({"features": [road]}))
+    key, _ = write_signing_keys(tmp_path, tmp_path)
+    refused = MapDecisionReceipt(time_ns=SystemClock().now_ns(), status="refused", reason=hostile)
+    recorded = MapDecisionReceipt(time_ns=SystemClock().now_ns(), status="recorded")
+    with chromium() as browser, ExitStack() as ends:
+        endpoint = ends.enter_context(loopback_router())
+        ends.enter_context(answering(endpoint, map_changes()))
+        command = "live", "--fleet", "--connect", endpoint, "--port", 0, "--roads", tmp_path / "roads.geojson"
+        process = ends.enter_context(camber_started(*command, "--review", key))
+        shown = watched(browser, served_address(process) + "#theme=dark", width=390, height=844)
+        page = shown.page
+        shown.wait_for("camber.store.changes?.published.length === 1")
+        page.locator("camber-changes [data-kind=published] button").click()
+        assert hostile in page.locator("camber-changes section.chosen").text_content()
+        page.get_by_role("button", name="Roll back").click()
+        page.get_by_label("Who decides").fill("Ann")
+        page.get_by_label("Why").fill("a ferry was mapped")
+        send = page.locator("dialog.decision button[type=submit]")
+        with answering(endpoint, refused) as decisions:
+            send.click()
+            shown.wait_for("document.querySelector('dialog.decision [role=alert]').textContent !== ''")
+            assert page.locator("dialog.decision [role=alert]").text_content() == hostile
+        (decision,) = decisions
+        assert (decision.action, decision.map_version) == ("roll_back", 3)
+        assert (decision.who, decision.why) == ("Ann", "a ferry was mapped")
+        assert "409" in shown.complaints.pop()  # of the browser itself
+        with answering(endpoint, recorded):
+            send.click()
+            page.locator("dialog.decision").wait_for(state="detached")
+        assert "Rolled back" in page.locator("camber-changes [role=status]").text_content()
+        assert page.locator("[data-action=roll_back]").is_disabled()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.locator("camber-changes img").count() == 0
         assert (shown.complaints, shown.elsewhere()) == ([], [])
         page.close()
