@@ -6,17 +6,20 @@
 Columns may be in any order, with others between them. `id` may be missing, or empty in all rows: then the batch is
 identified by the file's content, so that the same file sent again is recognised. The meaning is that of
 `camber.schemas.fleet.ElevationUpload`.
+
+A file is read a batch at a time, so memory does not grow with it: once to check all rows, and again to send them.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TextIO, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -30,6 +33,7 @@ from camber.schemas.refused_field import first_refused
 MOST_RECORDS = 2_000
 """In one batch: within the 256 kB of a query."""
 
+_LONGEST_LINE = 65_536  # chosen: a row has some 300 characters
 _LARGEST_INTEGER = 2**62  # chosen: within 64 bits, with room for a sum
 
 
@@ -68,24 +72,60 @@ _RECORD: dict[str, _Parser] = {
 COLUMNS = (*_BATCH, *_RECORD)
 
 
-def read_uploads(path: Path) -> list[UploadBatch]:
-    """Read all batches, in the file's order. Raises FormatError for the first bad row, OSError if unreadable."""
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise FormatError(path.name, "the file", "text in UTF-8") from None
-    rows = list(_rows(path.name, csv.DictReader(text.splitlines(), strict=True)))
-    if not rows:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedUploads:
+    """A file whose rows have all been read once. `content`: digest that names batches without an id."""
+
+    path: Path
+    content: str
+    batch_count: int
+
+    def batches(self) -> Iterator[UploadBatch]:
+        """Read the batches in the file's order. Raises FormatError for a file that has been changed since."""
+        yield from _batches(self.path, self.content)
+        if _content_of(self.path) != self.content:
+            raise FormatError(self.path.name, "the file", "the content that was checked")
+
+
+def check_uploads(path: Path) -> CheckedUploads:
+    """Read all rows. Raises FormatError for the first bad one, OSError if the file is unreadable."""
+    content = _content_of(path)
+    count = sum(1 for _ in _batches(path, content))
+    if not count:
         raise FormatError(path.name, "the file", "at least one row")
-    content = hashlib.sha256(data).hexdigest()[:24]
-    batches: list[UploadBatch] = []
-    for (_, given_id), group in groupby(rows, key=lambda row: (row[1], row[2])):
-        records = list(group)
-        for number, start in enumerate(range(0, len(records), MOST_RECORDS)):
-            batch_id = (given_id or f"file-{content}-{len(batches)}") + (f".{number}" if number else "")
-            batches.append(_batch(path.name, batch_id, records[start : start + MOST_RECORDS]))
-    return batches
+    return CheckedUploads(path=path, content=content, batch_count=count)
+
+
+def _content_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:24]
+
+
+def _batches(path: Path, content: str) -> Iterator[UploadBatch]:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        try:
+            position = 0
+            rows = _rows(path.name, csv.DictReader(_lines(file, path.name), strict=True))
+            for (_, given_id), group in groupby(rows, key=lambda row: (row[1], row[2])):
+                for number, records in enumerate(_pieces(group)):
+                    batch_id = (given_id or f"file-{content}-{position}") + (f".{number}" if number else "")
+                    yield _batch(path.name, batch_id, records)
+                    position += 1
+        except UnicodeDecodeError:
+            raise FormatError(path.name, "the file", "text in UTF-8") from None
+
+
+def _lines(file: TextIO, source: str) -> Iterator[str]:
+    while line := file.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise FormatError(source, "the row", f"at most {_LONGEST_LINE} characters")
+        yield line
+
+
+def _pieces(group: Iterable[_Row]) -> Iterator[list[_Row]]:
+    rows = iter(group)
+    while piece := list(islice(rows, MOST_RECORDS)):
+        yield piece
 
 
 _Row = tuple[int, dict[str, Any], str, dict[str, Any]]

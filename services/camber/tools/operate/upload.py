@@ -5,7 +5,8 @@ A FILE is CSV with one observation a row, as `camber uploads STORE --records` wr
     vehicle,id,datum,map_version,epoch_year,time_ns,fix_id,fix_quality,surface_id,verdict,latitude_rad,longitude_rad,
     horizontal_sigma_m,road_height_m,road_height_sigma_m,antenna_height_m
 
-Consecutive rows with the same id are one batch; without ids the whole file is one. The store keeps each batch of a
+Nothing is sent before all rows of all files have been checked. Consecutive rows with the same id are one batch; without
+ids the whole file is one. The store keeps each batch of a
 vehicle once, so a file may be sent repeatedly: `stored` and `duplicate` both mean that it is committed.
 
     camber upload examples/uploads.csv --connect tcp/127.0.0.1:7448
@@ -19,7 +20,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from camber.formats.drive.uploads_csv import read_uploads
+from camber.formats.drive.uploads_csv import CheckedUploads, check_uploads
 from camber.formats.errors import FormatError
 from camber.runtime.query import BusError, QueryClient, QueryFailed
 from camber.schemas.fleet import UploadBatch, UploadReceipt
@@ -29,11 +30,12 @@ from camber.tools.options.parsers import add_with_default, tool_parser
 
 _PROG = "camber upload"
 _HELP = "exit codes: 0 all stored; 1 a batch refused or not acknowledged; 2 invalid file or setting"
+_MOST_REASONS = 5  # chosen: more of one file are alike
 _RETRY_S = 0.5  # chosen: a few retries within the time of a restart of the store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Read all files, then send them in order; return the exit code."""
+    """Check all files, then send them in order; return the exit code."""
     parser = tool_parser(_PROG, __doc__, _HELP, allow_abbrev=False)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     add_bus_options(parser)
@@ -41,40 +43,42 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=None)
     try:
-        files = [(path, read_uploads(path)) for path in args.files]
+        files = [check_uploads(path) for path in args.files]
+        with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as client:
+            done = [_send(client, file, args.timeout) for file in files]
     except (FormatError, OSError) as error:
         text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
         print(f"{_PROG}: {text}", file=sys.stderr)
         return 2
-    try:
-        with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as client:
-            done = [_send(client, path, batches, args.timeout) for path, batches in files]
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 1
     return 0 if all(done) else 1
 
 
-def _send(client: QueryClient, path: Path, batches: Sequence[UploadBatch], limit_s: float) -> bool:
+def _send(client: QueryClient, file: CheckedUploads, limit_s: float) -> bool:
     """Send the batches of a file, print counts by status, and return whether all are acknowledged."""
+    path = file.path
     counts: Counter[str] = Counter()
     reasons: list[str] = []
-    done = 0
+    done = failed = 0
     try:
-        for batch in batches:
+        for batch in file.batches():
             status, reason = _receipt(client, batch, limit_s)
             counts[status] += len(batch.fix_id)
-            reasons += [f"{batch.vehicle} {batch.batch_id}: {reason}"] if reason else []
+            failed += bool(reason)
+            if reason and len(reasons) < _MOST_REASONS:
+                reasons.append(f"{batch.vehicle} {batch.batch_id}: {reason}")
             done += 1
     finally:  # also when interrupted: acknowledged batches are stored
         text = ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))
-        of_all = len(batches) if done == len(batches) else f"{done} of {len(batches)}"
+        of_all = done if done == file.batch_count else f"{done} of {file.batch_count}"
         print(
             f"{path}: {sum(counts.values())} observations in {of_all} batches: {text or 'none'}", flush=True
         )
-    for reason in reasons[:5]:
+    for reason in reasons:
         print(f"{path}: {reason}", file=sys.stderr)
-    return not reasons
+    return not failed
 
 
 def _receipt(client: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[str, str]:

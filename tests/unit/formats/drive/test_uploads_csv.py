@@ -1,15 +1,23 @@
 """Observations of roads in a file are read as the batches they are, or refused with the line that is wrong."""
 
 import csv
+import tracemalloc
 
 import numpy as np
 import pytest
 
-from camber.formats.drive.uploads_csv import COLUMNS, MOST_RECORDS, read_uploads
+from camber.formats.drive.uploads_csv import COLUMNS, MOST_RECORDS, check_uploads
 from camber.formats.errors import FormatError
 from support.tree import ROOT
 
 EXAMPLE = ROOT / "examples" / "uploads.csv"
+
+
+def read_uploads(path):
+    checked = check_uploads(path)
+    batches = list(checked.batches())
+    assert len(batches) == checked.batch_count
+    return batches
 
 
 def write(path, rows, columns=("id", *COLUMNS)):
@@ -85,6 +93,35 @@ def test_another_file_is_refused(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(FormatError):
         read_uploads(path)
+
+
+def test_a_file_that_changes_after_its_check_is_refused(tmp_path):
+    path = write(tmp_path / "a.csv", [row()])
+    checked = check_uploads(path)
+    write(path, [row(road_height_m="41.3")])
+    with pytest.raises(FormatError, match=r"a\.csv: the file, expected the content that was checked"):
+        list(checked.batches())
+
+
+def test_a_line_without_end_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text(",".join(COLUMNS) + "\n" + "1" * 10_000_000)
+    with pytest.raises(FormatError, match="the row, expected at most 65536 characters"):
+        check_uploads(tmp_path / "a.csv")
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path):
+    def peak_bytes(count):
+        path = write(tmp_path / "a.csv", (row_ | {"fix_id": str(n)} for n in range(count)))
+        tracemalloc.start()
+        try:
+            for _ in check_uploads(path).batches():
+                pass
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    row_ = row(id="")
+    assert peak_bytes(4 * MOST_RECORDS) < 1.2 * peak_bytes(2 * MOST_RECORDS)
 
 
 def test_a_file_without_rows_and_a_row_cut_short_are_refused(tmp_path):
