@@ -1,12 +1,13 @@
 """Admission of uploads: beyond the schema, an observation must be possible and its datum known.
 
 A refusal is final: the vehicle moves the upload to its dead letters. Only what no later knowledge can correct is
-refused; whether a possible height is *true* is decided by the fusion.
+refused; whether a possible height is *true* is decided by the fusion. Where the map is known, an observation must be of
+a road on it (`check_roads`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import pi
 from typing import NamedTuple
 
@@ -15,10 +16,16 @@ import numpy.typing as npt
 from pydantic import BaseModel, Field
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_update.contribution import Contribution
+from camber.map_update.contribution import QUALITIES, Contribution
+from camber.road_map.height_interpolation import SurfaceHeights
 from camber.schemas.base import EARLIEST_NS, Name, Text
 
 _LARGEST_ID = 2**62  # as `Count` in camber.schemas.base
+_FIXED = QUALITIES.index("fixed")
+_FARTHEST_M = 1000.0
+"""From the surface that an observation names; chosen: a single-point position is hardly ever off by 100 m."""
+_MOST_HEIGHT_OFF_M = 50.0
+"""Of a fixed position beside its surface; chosen: wrong fixes are metres off, heights in feet 2.3 times as high."""
 
 
 class AdmissionLimits(BaseModel):
@@ -74,6 +81,42 @@ def check_vehicle(key_vehicle: str, contribution: Contribution) -> Refusal | Non
         return None
     text = f"vehicle {contribution.vehicle} was uploaded under the key of {key_vehicle}, expected the same"
     return Refusal("vehicle", text)
+
+
+def check_roads(
+    contribution: Contribution, roads: SurfaceHeights, versions: Collection[int]
+) -> Refusal | None:
+    """Return a refusal for an observation that cannot be of the road that it names.
+
+    `versions`: of the map with exactly these surfaces; other versions may have surfaces that are not known here.
+    """
+    rows = contribution.observations
+    row = roads.rows_of(np.ascontiguousarray(rows["surface_id"]))
+    if contribution.map_version in versions and (row < 0).any():
+        at = int(np.argmax(row < 0))
+        expected = f"a surface of version {contribution.map_version} of the map"
+        return Refusal(
+            "unknown_surface", f"record {at}: surface_id {rows['surface_id'][at]}, expected {expected}"
+        )
+    height_m, outside_m = roads.heights_m(
+        row, np.ascontiguousarray(rows["latitude_rad"]), np.ascontiguousarray(rows["longitude_rad"])
+    )
+    far = (row >= 0) & ~(outside_m <= _FARTHEST_M)
+    if far.any():
+        at = int(np.argmax(far))
+        place = f"latitude {rows['latitude_rad'][at]:.7f} rad, longitude {rows['longitude_rad'][at]:.7f} rad"
+        expected = f"at most {_FARTHEST_M:g} m from surface {rows['surface_id'][at]}"
+        return Refusal("far_from_surface", f"record {at}: {place}, expected {expected}")
+    off_m = np.abs(rows["road_height_m"] - height_m)
+    wrong = (row >= 0) & (rows["fix_quality"] == _FIXED) & (off_m > _MOST_HEIGHT_OFF_M)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        expected = f"metres within {_MOST_HEIGHT_OFF_M:g} m of the surface's {height_m[at]:.1f}"
+        return Refusal(
+            "height_of_surface",
+            f"record {at}: road_height_m {rows['road_height_m'][at]}, expected {expected}",
+        )
+    return None
 
 
 def _check_header(contribution: Contribution, limits: AdmissionLimits) -> Refusal | None:

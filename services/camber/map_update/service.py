@@ -194,6 +194,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
     ) -> Sequence[Outcome | None]:
         """Return the outcomes; contributions are checked as a whole, before parts go to different shards."""
         refusals = check(contributions, now_ns, self.settings)
+        if (cycle := self._cycle) is not None:
+            refusals = [
+                refusal or cycle.refusal(contribution)
+                for contribution, refusal in zip(contributions, refusals, strict=True)
+            ]
         queued = [QueuedContribution(*pair) for pair in zip(contributions, refusals, strict=True)]
         sender = self._sender
         outcomes = self._commit(queued, now_ns) if sender is None else self._forward(sender, queued)

@@ -52,14 +52,14 @@ class Fusion:
     def __init__(self, surfaces: RoadSurfaces, secret: bytes, settings: FusionSettings | None = None) -> None:
         self._settings = settings = settings or FusionSettings()
         self._secret = check_secret(secret)
-        self._reference = SurfaceHeights(surfaces)
+        self.roads = SurfaceHeights(surfaces)
         self.neighbourhood = build_neighbourhood(surfaces, street_m=settings.street_m, region_m=_REGION_M)
         # Sessions are days of solar time; a region's easternmost surface is the first to have a new one.
         self._east_rad = float(surfaces.longitude_rad.max(initial=-np.pi))
 
     def votes_from(self, observations: NDArray[np.void], voter: Integers | int) -> Votes:
         """Return the votes of observations (n,) of OBSERVATION; `voter` is (n,) or one, by `voter_of`."""
-        return votes_from(observations, voter, reference=self._reference, secret=self._secret)
+        return votes_from(observations, voter, reference=self.roads, secret=self._secret)
 
     def voter_of(self, vehicle: str) -> int:
         """Return the pseudonym of a vehicle."""

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_DAY
+from camber.map_update.admission import Refusal, check_roads
+from camber.map_update.contribution import Contribution
 from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication_decision import Decisions
@@ -75,6 +77,7 @@ class FusionCycle:
         self._operators = operators
         self._review = ReviewFolder(builder.folder, operators)
         self._review.publish_operators()
+        self._versions = builder.versions_of_reference()
         self._due_ns: int | None = None
         self._decided_state: object = None  # external state at the last decision; None: votes are newer
 
@@ -129,12 +132,17 @@ class FusionCycle:
         decisions = self._review.apply(automatic, now_ns, self._fusion.neighbourhood)
         current = self._builder.current()
         root = self._builder.build(corrections_after(before, decisions), time_ns=now_ns)
+        self._versions.add(root.map_version)
         return FusionDecision(
             decisions=decisions,
             corrections=self._builder.corrections(),
             root=root,
             is_new=current is None or root != current.root,
         )
+
+    def refusal(self, contribution: Contribution) -> Refusal | None:
+        """Return why a contribution cannot be of the roads of this map, or None."""
+        return check_roads(contribution, self._fusion.roads, self._versions)
 
     def changes(self, decided: FusionDecision, now_ns: int) -> MapChanges:
         """The changes that a decision holds, publishes and alarms, with their places."""

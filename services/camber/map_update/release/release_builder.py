@@ -53,6 +53,15 @@ class ReleaseBuilder:
         """Return the newest release in the folder, or None."""
         return open_release(self.folder) if (self.folder / ROOT_NAME).exists() else None
 
+    def versions_of_reference(self) -> set[int]:
+        """Return the versions of the map that have exactly the surfaces of the reference."""
+        root = self.reference.root
+        digest_of = {root.map_version: root.manifest_sha256} | {
+            record.manifest.map_version: record.manifest.reference_sha256 or record.manifest_sha256
+            for record in history(self.folder)
+        }
+        return {version for version, digest in digest_of.items() if digest == root.manifest_sha256}
+
     def corrections(self) -> Corrections:
         """Return the corrections of the newest release."""
         current = self.current()

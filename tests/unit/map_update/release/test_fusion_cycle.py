@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +112,51 @@ def test_changes_for_viewers_are_those_that_were_published(tmp_path: Path, store
     assert sorted(changes.published.surface_id.tolist()) == list(CHANGED)
     assert changes.published.offset_m == pytest.approx([0.08] * 4, abs=0.02)
     assert changes.map_version == decided.root.map_version
+
+
+def changed_row(field: str, value: float, **header: object) -> Contribution:
+    """A drive whose record 5 has another value."""
+    contribution = drive(1, 1)
+    contribution.observations[field][5] = value
+    return replace(contribution, **header)
+
+
+@pytest.mark.parametrize(
+    ("contribution", "code"),
+    [
+        (drive(1, 1), None),
+        (changed_row("surface_id", 99), "unknown_surface"),
+        (changed_row("surface_id", 99, map_version=6), None),  # its map may have other surfaces
+        (changed_row("surface_id", 99, map_version=12), None),
+        (changed_row("latitude_rad", 0.61), "far_from_surface"),
+        (changed_row("latitude_rad", math.degrees(at(0.0, 0.0)[0]) / 57.0), "far_from_surface"),
+        (changed_row("road_height_m", 50.0 / 0.3048), "height_of_surface"),
+        (changed_row("road_height_m", 62.0), None),  # a wrong fix, for the fusion to find out
+    ],
+)
+def test_rows_that_cannot_be_of_their_road_are_refused(
+    contribution: Contribution, code: str | None, tmp_path: Path, store: Store
+) -> None:
+    refusal = fusion_cycle(tmp_path, store).refusal(contribution)
+    assert (None if refusal is None else refusal.code) == code
+    assert refusal is None or refusal.text.startswith("record 5: ")
+
+
+def test_a_position_without_a_fix_may_have_any_height(tmp_path: Path, store: Store) -> None:
+    contribution = changed_row("road_height_m", 150.0)
+    contribution.observations["fix_quality"] = QUALITIES.index("single")
+    assert fusion_cycle(tmp_path, store).refusal(contribution) is None
+
+
+def test_surfaces_are_those_of_releases_that_were_made_since(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    cycle = fusion_cycle(tmp_path, store)
+    version = all_steps(cycle, NOW_NS).root.map_version
+    contribution = changed_row("surface_id", 99, map_version=version)
+    for each in (cycle, fusion_cycle(tmp_path, store)):  # the second after a restart
+        refusal = each.refusal(contribution)
+        assert refusal is not None
+        assert refusal.code == "unknown_surface"
 
 
 def test_the_first_release_is_the_reference(tmp_path: Path, store: Store) -> None:

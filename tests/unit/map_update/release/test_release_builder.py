@@ -54,6 +54,16 @@ def test_a_release_has_the_corrections_and_is_the_reference_elsewhere(tmp_path: 
     assert new.latitude_rad.tobytes() == old.latitude_rad.tobytes()
 
 
+def test_versions_of_another_reference_do_not_count(tmp_path: Path) -> None:
+    builder = make_builder(tmp_path)
+    first = builder.build(NONE, time_ns=MADE_NS)
+    assert builder.versions_of_reference() == {builder.reference.root.map_version, first.map_version}
+    rows = [surface(i, 300.0 * i) for i in range(7)]
+    newer = make_builder(tmp_path, rows, map_version=first.map_version + 1)
+    second = newer.build(NONE, time_ns=MADE_NS)
+    assert newer.versions_of_reference() == {newer.reference.root.map_version, second.map_version}
+
+
 def test_only_tiles_with_a_corrected_surface_change(tmp_path: Path) -> None:
     builder = make_builder(tmp_path)
     builder.build(NONE, time_ns=MADE_NS)
