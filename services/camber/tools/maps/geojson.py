@@ -29,6 +29,13 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
 from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.checks.height_check import (
+    PLACES,
+    SourceHeights,
+    add_check_arguments,
+    checked_heights,
+    seed_of,
+)
 from camber.tools.maps.importers.lanes import named_links
 from camber.tools.maps.importers.osm_tags import level_of, tags_of
 
@@ -46,6 +53,7 @@ _MOST_BYTES = 1 << 31  # chosen: bounds the memory of the JSON parser
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only GeoJSON needs."""
     parser.add_argument("file", type=Path, metavar="FILE.geojson")
+    add_check_arguments(parser)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -54,7 +62,35 @@ def build(args: argparse.Namespace) -> BuiltMap:
     stray = set(surfaces.link_id.tolist()) - set(links.link_id.tolist())
     if stray:
         raise FormatError(str(args.file), "link_id", "a link of the file", actual=str(min(stray)))
-    return BuiltMap(surfaces=surfaces, links=links)
+    seed = seed_of(args)
+    corners = corner_heights(args.file, np.random.default_rng(seed))
+    check = checked_heights(surfaces, corners, seed=seed, file=str(args.file))
+    return BuiltMap(surfaces=surfaces, links=links, remarks=[check])
+
+
+def corner_heights(path: Path, rng: np.random.Generator) -> SourceHeights:
+    """Heights that random corners of polygons have as third coordinate, which the surfaces are not made from."""
+    features = json.loads(path.read_bytes())["features"]
+    polygons = [each for each in features if each["geometry"]["type"] == "Polygon"]
+    try:
+        corners = [
+            (place, polygon["properties"])
+            for polygon in polygons
+            for place in polygon["geometry"]["coordinates"][0][:-1]
+            if len(place) > 2
+        ]
+        drawn = [corners[k] for k in rng.integers(len(corners), size=PLACES)] if corners else []
+        places = np.array([place[:3] for place, _ in drawn], np.float64).reshape(-1, 3)
+    except (KeyError, TypeError, ValueError, IndexError):
+        expected = "rings of places in degrees, with heights in metres"
+        raise FormatError(str(path), "coordinates of polygons", expected) from None
+    return SourceHeights(
+        latitude_rad=np.radians(places[:, 1]),
+        longitude_rad=np.radians(places[:, 0]),
+        height_m=places[:, 2],
+        links=[[int(properties["link_id"])] for _, properties in drawn],
+        names=[f"a corner of surface {properties['surface_id']}" for _, properties in drawn],
+    )
 
 
 def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:

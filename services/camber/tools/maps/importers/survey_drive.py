@@ -22,6 +22,13 @@ from camber.replay.road_lines import RoadLines, road_lines
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.integrity import CONFIRMED_VERDICTS
 from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.checks.height_check import (
+    PLACES,
+    SourceHeights,
+    add_check_arguments,
+    checked_heights,
+    seed_of,
+)
 from camber.tools.maps.importers.lanes import named_links
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.maps.importers.track_heights import TrackHeights
@@ -31,6 +38,8 @@ from camber.tools.options.parsers import add_with_default
 _MAP_FREE = ("fixed", "stroke", "ranging")
 _HEIGHT_AGE_NS = 1_000_000_000  # chosen: antenna heights are published at 1 Hz or more
 _STEP_M = 0.1  # chosen: below the distance of two positions of a moving vehicle
+_LEVEL_WEIGHT = 5.0  # chosen: levels are 5 m apart, and so farther than the next lane
+_AT_ONCE = 50  # chosen: with 100 km of road some 100 MB
 _LINK_SIGMA_M = 0.5  # chosen: a driver keeps to the lane's middle within this
 
 
@@ -64,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_with_default(parser, "--spacing-m", 2.0, text, type=spacing_m, metavar="D")
     text = "how far along the road a position speaks for it: half the way between two"
     add_with_default(parser, "--reach-m", 4.0, text, type=number_from(1.0, 50.0, "m"), metavar="D")
+    add_check_arguments(parser)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
@@ -77,7 +87,32 @@ def build(args: argparse.Namespace) -> BuiltMap:
         expected = f"positions nearer to one another than {args.reach_m:g} m"
         raise FormatError(str(args.drive), "track", expected)
     remarks = [f"{args.drive}: {len(track)} positions, {roads.lines.distance_m[-1]:.0f} m"]
-    return BuiltMap(surfaces=surfaces, links=roads.roads.links, remarks=remarks)
+    seed = seed_of(args)
+    source = driven_heights(track, roads, np.random.default_rng(seed))
+    # Noise of the positions is random: 0.3 % of a normal one are beyond 3 σ, and more where it is correlated.
+    check = checked_heights(surfaces, source, seed=seed, file=str(args.drive), most_beyond=0.02)
+    return BuiltMap(surfaces=surfaces, links=roads.roads.links, remarks=[*remarks, check])
+
+
+def driven_heights(track: RoadTrack, roads: DriveRoads, rng: np.random.Generator) -> SourceHeights:
+    """Heights of the road under random positions of the track, as the file has them, with the link driven there."""
+    rows = rng.integers(len(track), size=PLACES)
+    place = track.latitude_rad[rows], track.longitude_rad[rows]
+    plane = roads.frame.east_north_from_geodetic_array(*place, np.zeros(PLACES))
+    samples = np.column_stack((roads.lines.east_north_m, _LEVEL_WEIGHT * roads.lines.height_m))
+    at = np.column_stack((plane, _LEVEL_WEIGHT * track.road_height_m[rows]))
+    parts = np.split(at, range(_AT_ONCE, PLACES, _AT_ONCE))
+    nearest = np.concatenate(
+        [np.argmin(((part[:, None, :] - samples) ** 2).sum(axis=2), axis=1) for part in parts]
+    )
+    links = roads.roads.links.link_id[roads.link_row[nearest]]
+    return SourceHeights(
+        latitude_rad=place[0],
+        longitude_rad=place[1],
+        height_m=track.road_height_m[rows],
+        links=[[link] for link in links.tolist()],
+        names=[f"position {row + 1}" for row in rows.tolist()],
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

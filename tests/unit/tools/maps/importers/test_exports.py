@@ -90,6 +90,36 @@ def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Pa
         ]
 
 
+def test_heights_of_geojson_are_compared_with_its_corners(
+    release: Path, tmp_path: Path, refused: Refused, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = exported(release, "geojson", tmp_path / "map.geojson")
+    assert build_map("geojson", tmp_path / "again", path, "--check-seed", 3) == 0
+    assert "against the source at 2000 places (seed 3)" in capsys.readouterr().out
+    roads = json.loads(path.read_text())
+    surface = next(f for f in roads["features"] if f["geometry"]["type"] == "Polygon")
+    surface["properties"]["heights_m"] = (np.array(surface["properties"]["heights_m"]) + 0.3).tolist()
+    path.write_text(json.dumps(roads))
+    line = refused(lambda _: build_map("geojson", tmp_path / "moved", path))
+    # At a corner that two surfaces of a link share, the one that differs more counts.
+    assert "height at a corner of surface" in line
+    assert "is '0.300 m, " in line
+
+
+@pytest.mark.parametrize("ring", [[["a", "b", "c"]] * 5, [1.0, 2.0], None])
+def test_a_polygon_that_is_no_ring_is_one_line(
+    ring: object, release: Path, tmp_path: Path, refused: Refused
+) -> None:
+    path = exported(release, "geojson", tmp_path / "map.geojson")
+    roads = json.loads(path.read_text())
+    for feature in roads["features"]:
+        if feature["geometry"]["type"] == "Polygon":
+            feature["geometry"]["coordinates"] = [ring]
+    path.write_text(json.dumps(roads))
+    line = refused(lambda _: build_map("geojson", tmp_path / "again", path))
+    assert "coordinates of polygons, expected rings" in line
+
+
 def test_ids_of_geojson_are_texts_and_numbers_are_read_too(release: Path, tmp_path: Path) -> None:
     path = exported(release, "geojson", tmp_path / "map.geojson")
     roads = json.loads(path.read_text())

@@ -20,6 +20,7 @@ from camber.schemas.integrity import Verdict
 from camber.tools.maps.importers.argoverse import CityFrame
 from camber.tools.maps.importers.surfaces_along import Floats, surfaces_along
 from camber.tools.maps.importers.survey_drive import RoadTrack, drive_roads
+from camber.tools.maps.importers.track_heights import TrackHeights
 from support.built_maps import build_map
 from support.nearest_surface import nearest_heights
 from support.refusals import Refused
@@ -58,6 +59,27 @@ def test_half_of_the_poses_predict_the_other_half(data: Path, name: str, block_m
           f"known {known.mean():.3f}, σ {np.median(surfaces.sigma_m):.3f} m")  # fmt: skip
     assert known.mean() > 0.85
     assert np.percentile(np.abs(off_m[known]), 95) <= 0.03
+
+
+def test_heights_are_compared_with_the_positions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
+    write_truth(tmp_path / "truth.csv", drive(over=True))
+    options = ("--antenna-height-m", ANTENNA_M, "--check-seed", 17, tmp_path / "truth.csv")
+    assert build_map("drive", tmp_path / "map", *options) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if "against the source" in line)
+    assert "(seed 17)" in line
+    assert int(line.split(" places")[0].split()[-1]) > 1900
+    fitted = TrackHeights.at
+
+    def shifted(self: TrackHeights, places_m: Floats, about_m: Floats) -> tuple[Floats, Floats]:
+        height_m, sigma_m = fitted(self, places_m, about_m)
+        return height_m + 0.1, sigma_m
+
+    monkeypatch.setattr(TrackHeights, "at", shifted)
+    line = refused(lambda _: build_map("drive", tmp_path / "other", *options))
+    assert "expected the source's within 3 σ (seed 17)" in line
+    assert "height at position " in line
 
 
 def drive(*, over: bool = False) -> TruthTable:
