@@ -94,6 +94,7 @@ LIST_PORTS = Command("camber.transport.serial_ports", "list the serial ports of 
 VERSION = Command("importlib.metadata", "print the version")
 
 EXTRA_OF = {
+    "arro3": "map",
     "asyncpg": "fleet",
     "foxglove": "foxglove",
     "hatanaka": "engine",

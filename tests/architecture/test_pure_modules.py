@@ -21,6 +21,7 @@ PURE = [
 ]
 # What a distribution is imported as, where it is not its own name with underscores.
 IMPORTED_AS = {
+    "arro3_io": "arro3",
     "eclipse_zenoh": "zenoh",
     "foxglove_sdk": "foxglove",
     "griffelib": "griffe",

@@ -15,6 +15,7 @@ import numpy as np
 from camber.geodesy.gps_time import NS_PER_DAY, UNIX_OF_GPS_EPOCH_NS
 from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
 from camber.road_map.release import Release
+from camber.road_map.road_tiles import surface_corners_m
 from camber.road_map.tile_grid import Tile, tile_frame
 from camber.schemas.base import Float64, Int64
 from camber.schemas.road import ZOOM, CloudTile, Layer, LinkTile, SurfaceTile
@@ -152,7 +153,10 @@ def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) 
     if not tiles:
         return []
     units = np.concatenate(
-        [_units(_corners(surfaces).reshape(-1, 2), tile, place) for tile, surfaces in tiles]
+        [
+            _units(surface_corners_m(surfaces)[:, ::-1].reshape(-1, 2), tile, place)  # clockwise
+            for tile, surfaces in tiles
+        ]
     )
 
     def column(name: str) -> Any:
@@ -176,17 +180,6 @@ def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) 
             },
         )
     ]
-
-
-def _corners(surfaces: SurfaceTile) -> Float64:
-    """Corners (n, 4, 2) of the rectangles in the tile's plane, clockwise."""
-    signs = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
-    along = surfaces.half_length_m[:, None] * signs[:, 0]
-    across = surfaces.half_width_m[:, None] * signs[:, 1]
-    cos, sin = np.cos(surfaces.yaw_rad)[:, None], np.sin(surfaces.yaw_rad)[:, None]
-    east = surfaces.centre_east_m[:, None] + along * cos - across * sin
-    north = surfaces.centre_north_m[:, None] + along * sin + across * cos
-    return np.stack((east, north), axis=2)
 
 
 def link_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:

@@ -6,8 +6,9 @@ import contextlib
 import hashlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import BinaryIO, Protocol, TypeVar
 
 from camber.road_map.road_columns import ReleaseError
 from camber.schemas.base import Message
@@ -129,11 +130,18 @@ def write_blob(folder: Path, digest: str, data: bytes) -> None:
 
 def write_file(path: Path, data: bytes) -> None:
     """Replace a file atomically: temporary name, fsync, rename."""
+    with replaced_file(path) as stream:
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def replaced_file(path: Path) -> Iterator[BinaryIO]:
+    """A stream whose bytes replace a file atomically at the end, and not at all after an exception."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:16]}.")
     try:
         with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
+            yield stream
             stream.flush()
             os.fchmod(stream.fileno(), 0o644)  # mkstemp restricts it to one user, but services run as others
             os.fsync(stream.fileno())

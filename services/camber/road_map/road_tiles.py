@@ -154,22 +154,50 @@ def links_from_tiles(tiles: Iterable[LinkTile]) -> RoadLinks:
     return RoadLinks(**_each_once(map(_link_columns, tiles), RoadLinks, ragged="vertices"))
 
 
-def _surface_columns(tile: SurfaceTile) -> dict[str, Any]:
+def surface_places(tile: SurfaceTile) -> tuple[Floats, Floats, Floats]:
+    """Return latitudes, longitudes and yaws of a tile's surfaces (n,), as RoadSurfaces has them."""
     frame = tile_frame(tile.x, tile.y)
     latitude_rad, longitude_rad = _geodetic(frame, tile.centre_east_m, tile.centre_north_m)
-    heights_m = np.round(tile.base_height_m + tile.grid_m.astype(np.float64), _HEIGHT_DECIMALS)
+    yaw_rad = np.round(tile.yaw_rad - _convergence(frame, longitude_rad), _YAW_DECIMALS)
+    return latitude_rad, longitude_rad, yaw_rad
+
+
+def surface_corners_m(tile: SurfaceTile) -> Floats:
+    """Return the corners (n, 4, 2) of rectangles in the tile's plane, counter-clockwise from the rear right one."""
+    signs = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    along = tile.half_length_m[:, None] * signs[:, 0]
+    across = tile.half_width_m[:, None] * signs[:, 1]
+    cos, sin = np.cos(tile.yaw_rad)[:, None], np.sin(tile.yaw_rad)[:, None]
+    east = tile.centre_east_m[:, None] + along * cos - across * sin
+    north = tile.centre_north_m[:, None] + along * sin + across * cos
+    return np.stack((east, north), axis=2)
+
+
+def surface_heights_m(tile: SurfaceTile) -> Floats:
+    """Return the ellipsoidal heights of `grid_m`."""
+    heights_m: Floats = np.round(tile.base_height_m + tile.grid_m.astype(np.float64), _HEIGHT_DECIMALS)
+    return heights_m
+
+
+def link_vertices(tile: LinkTile) -> Floats:
+    """Return the vertices (m, 2) of all links of a tile, latitude and longitude in radians."""
+    return np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
+
+
+def _surface_columns(tile: SurfaceTile) -> dict[str, Any]:
+    latitude_rad, longitude_rad, yaw_rad = surface_places(tile)
+    heights_m = surface_heights_m(tile)
     shapes = zip(tile.first_height.tolist(), tile.rows.tolist(), tile.columns.tolist(), strict=True)
     return tile.__dict__ | {
         "latitude_rad": latitude_rad,
         "longitude_rad": longitude_rad,
-        "yaw_rad": np.round(tile.yaw_rad - _convergence(frame, longitude_rad), _YAW_DECIMALS),
+        "yaw_rad": yaw_rad,
         "heights_m": [heights_m[i : i + n * m].reshape(n, m) for i, n, m in shapes],
     }
 
 
 def _link_columns(tile: LinkTile) -> dict[str, Any]:
-    points = np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
-    return tile.__dict__ | {"vertices": np.split(points, tile.first_vertex[1:-1])}
+    return tile.__dict__ | {"vertices": np.split(link_vertices(tile), tile.first_vertex[1:-1])}
 
 
 def _each_once(

@@ -1,8 +1,9 @@
 """`camber map export RELEASE --to FORMAT --out PATH`: a release for other programs.
 
-geotiff   one file for each level, LEVEL.tif in a folder: band 1 heights above the ellipsoid, band 2 their σ
-geojson   one file: surfaces with all their columns, and links; `camber map build geojson` reads it again
-pcd       a folder for Autoware: the clouds in square cells, their metadata, and how coordinates are projected
+geotiff     one file for each level, LEVEL.tif in a folder: band 1 heights above the ellipsoid, band 2 their σ
+geojson     one file: surfaces with all their columns, and links; `camber map build geojson` reads it again
+geoparquet  a folder: surfaces.parquet and links.parquet with all their columns
+pcd         a folder for Autoware: the clouds in square cells, their metadata, and how coordinates are projected
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.tile_grid import tile_frame, tiles_of
 from camber.schemas.road import CloudTile, Layer
 from camber.tools.maps.geojson import geojson_text
+from camber.tools.maps.geoparquet import export_geoparquet
 from camber.tools.maps.importers.height_raster import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
 from camber.tools.maps.release_at import add_release, named_release
@@ -201,6 +203,10 @@ def _check_geotiff_folder(out: Path) -> None:
     check_output_folder(out, "level_*.tif")
 
 
+def _check_geoparquet_folder(out: Path) -> None:
+    check_output_folder(out, "surfaces.parquet")
+
+
 def _check_pcd_folder(out: Path) -> None:
     check_output_folder(out, "map_projector_info.yaml", "pointcloud_map")
 
@@ -208,6 +214,7 @@ def _check_pcd_folder(out: Path) -> None:
 _Exporter = Callable[[Release, str, Path, float | None], list[str]]
 _EXPORTERS: dict[str, tuple[Callable[[Path], None], _Exporter]] = {
     "geojson": (check_output_file, export_geojson),  # checked too, as it may have been edited
+    "geoparquet": (_check_geoparquet_folder, export_geoparquet),
     "geotiff": (_check_geotiff_folder, export_geotiff),
     "pcd": (_check_pcd_folder, export_pcd),
 }
