@@ -8,6 +8,7 @@ a road on it (`check_roads`).
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from math import pi
 from typing import NamedTuple
 
@@ -18,14 +19,18 @@ from pydantic import BaseModel, Field
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import QUALITIES, Contribution
 from camber.road_map.height_interpolation import SurfaceHeights
+from camber.road_map.tile_grid import Tile, tiles_of
 from camber.schemas.base import EARLIEST_NS, Name, Text
 
 _LARGEST_ID = 2**62  # as `Count` in camber.schemas.base
 _FIXED = QUALITIES.index("fixed")
 _FARTHEST_M = 1000.0
 """From the surface that an observation names; chosen: a single-point position is hardly ever off by 100 m."""
-_MOST_HEIGHT_OFF_M = 50.0
-"""Of a fixed position beside its surface; chosen: wrong fixes are metres off, heights in feet 2.3 times as high."""
+_FOOT_M = 0.3048  # source: international foot, NIST SP 811, B.6
+_FEET_OFF_M = 5.0
+"""Of a height in feet from its surface; chosen: above nearly all wrong fixes, a tenth of the limit below."""
+_METRES_OFF_M = 50.0
+"""A height this near to its surface may be metres; chosen: ten times the limit above."""
 
 
 class AdmissionLimits(BaseModel):
@@ -83,39 +88,48 @@ def check_vehicle(key_vehicle: str, contribution: Contribution) -> Refusal | Non
     return Refusal("vehicle", text)
 
 
-def check_roads(
-    contribution: Contribution, roads: SurfaceHeights, versions: Collection[int]
-) -> Refusal | None:
+@dataclass(frozen=True, kw_only=True)
+class KnownRoads:
+    """Roads of a reference: its surfaces, its tiles, and the versions of the map that have exactly these surfaces."""
+
+    surfaces: SurfaceHeights
+    tiles: frozenset[Tile]
+    versions: Collection[int]
+
+
+def check_roads(contribution: Contribution, roads: KnownRoads) -> Refusal | None:
     """Return a refusal for an observation that cannot be of the road that it names.
 
-    `versions`: of the map with exactly these surfaces; other versions may have surfaces that are not known here.
+    Heights that differ from the reference's are no reason, however large the difference: the reference may be wrong, as
+    with another vertical datum. Surfaces that are not known are one within the tiles of the reference only: another
+    region may have the same version.
     """
     rows = contribution.observations
-    row = roads.rows_of(np.ascontiguousarray(rows["surface_id"]))
-    if contribution.map_version in versions and (row < 0).any():
-        at = int(np.argmax(row < 0))
-        expected = f"a surface of version {contribution.map_version} of the map"
-        return Refusal(
-            "unknown_surface", f"record {at}: surface_id {rows['surface_id'][at]}, expected {expected}"
-        )
-    height_m, outside_m = roads.heights_m(
-        row, np.ascontiguousarray(rows["latitude_rad"]), np.ascontiguousarray(rows["longitude_rad"])
-    )
+    row = roads.surfaces.rows_of(np.ascontiguousarray(rows["surface_id"]))
+    latitude, longitude = (np.ascontiguousarray(rows[name]) for name in ("latitude_rad", "longitude_rad"))
+    if contribution.map_version in roads.versions and (row < 0).any():
+        tiles = zip(*(numbers.tolist() for numbers in tiles_of(latitude, longitude)), strict=True)
+        here = np.array([tile in roads.tiles for tile in tiles])
+        if ((row < 0) & here).any():
+            at = int(np.argmax((row < 0) & here))
+            expected = f"a surface of version {contribution.map_version} of the map"
+            text = f"record {at}: surface_id {rows['surface_id'][at]}, expected {expected}"
+            return Refusal("unknown_surface", text)
+    height_m, outside_m = roads.surfaces.heights_m(row, latitude, longitude)
     far = (row >= 0) & ~(outside_m <= _FARTHEST_M)
     if far.any():
         at = int(np.argmax(far))
-        place = f"latitude {rows['latitude_rad'][at]:.7f} rad, longitude {rows['longitude_rad'][at]:.7f} rad"
+        place = f"latitude {latitude[at]:.7f} rad, longitude {longitude[at]:.7f} rad"
         expected = f"at most {_FARTHEST_M:g} m from surface {rows['surface_id'][at]}"
         return Refusal("far_from_surface", f"record {at}: {place}, expected {expected}")
-    off_m = np.abs(rows["road_height_m"] - height_m)
-    wrong = (row >= 0) & (rows["fix_quality"] == _FIXED) & (off_m > _MOST_HEIGHT_OFF_M)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        expected = f"metres within {_MOST_HEIGHT_OFF_M:g} m of the surface's {height_m[at]:.1f}"
-        return Refusal(
-            "height_of_surface",
-            f"record {at}: road_height_m {rows['road_height_m'][at]}, expected {expected}",
-        )
+    fixed = (row >= 0) & (rows["fix_quality"] == _FIXED)
+    in_feet = np.abs(_FOOT_M * rows["road_height_m"] - height_m) <= _FEET_OFF_M
+    in_feet &= np.abs(rows["road_height_m"] - height_m) > _METRES_OFF_M
+    if fixed.any() and in_feet[fixed].all():
+        at = int(np.argmax(fixed))
+        expected = f"metres: in feet it is that of the surface, {height_m[at]:.1f} m"
+        text = f"record {at}: road_height_m {rows['road_height_m'][at]}, expected {expected}"
+        return Refusal("height_in_feet", text)
     return None
 
 

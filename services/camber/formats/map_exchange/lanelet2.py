@@ -227,9 +227,10 @@ def place_of_local(
     if "mgrs_code" in tags:
         return geodetic_from_mgrs(tags["mgrs_code"], x_m, y_m, file=file, field=f"{name}, mgrs_code")
     if projector is None:
-        expected = f"lat and lon, mgrs_code, or {FILE_NAME} in the folder of the map (--projector FILE)"
+        expected = f"lat and lon, mgrs_code, or {FILE_NAME} in the folder of the map"
         raise FormatError(file, name, expected, actual="local_x and local_y alone")
-    return projector.geodetic(x_m, y_m)
+    height_m = _number(tags.get("ele"), f"{name}, ele", (_LOWEST_M, _HIGHEST_M), file)
+    return projector.geodetic(x_m, y_m, height_m)
 
 
 def _number(text: str | None, field_name: str, bounds: tuple[float, float], file: str) -> float:

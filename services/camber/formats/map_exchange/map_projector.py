@@ -24,14 +24,15 @@ _UTM_SCALE = 0.9996  # source: MapProjectorInfo.msg, scale_factor
 _VERTICAL = {"EGM2008": "EPSG:3855", "WGS84": None, "": None}
 """Vertical datum by its name in the file; None: to be stated by those who use the map."""
 
-PlaneToGeodetic = Callable[[float, float], tuple[float, float]]
+PlaneToGeodetic = Callable[[float, float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapProjector:
-    """How a map is projected. `geodetic`: latitude, longitude [rad, WGS 84] of x, y [m]; FormatError for no such place.
+    """How a map is projected.
 
-    `vertical`: vertical CRS of heights, None if the file does not settle it.
+    `geodetic`: latitude and longitude [rad, WGS 84] of x, y and height [m]; FormatError for no such place. `vertical`:
+    vertical CRS of heights, None if the file does not settle it.
     """
 
     geodetic: PlaneToGeodetic
@@ -65,7 +66,7 @@ def _contents(data: bytes, file: str) -> Mapping[str, Any]:
         raise FormatError(file, "size", f"at most {_MAX_BYTES >> 10} kB")
     try:
         contents = YAML(typ="safe", pure=True).load(data)
-    except (YAMLError, ValueError, RecursionError) as error:
+    except (YAMLError, ValueError, LookupError, RecursionError) as error:
         reason = " ".join(str(error).split())[:120]
         raise FormatError(file, "YAML", f"a whole document ({reason})") from None
     if not isinstance(contents, Mapping):
@@ -76,7 +77,7 @@ def _contents(data: bytes, file: str) -> Mapping[str, Any]:
 def _mgrs(contents: Mapping[str, Any], file: str) -> PlaneToGeodetic:
     code = _text(contents, "mgrs_grid", file)
     geodetic_from_mgrs(code, 0.0, 0.0, file=file, field="mgrs_grid")  # refuses a wrong code before any node
-    return lambda x_m, y_m: geodetic_from_mgrs(code, x_m, y_m, file=file, field="mgrs_grid")
+    return lambda x_m, y_m, _: geodetic_from_mgrs(code, x_m, y_m, file=file, field="mgrs_grid")
 
 
 def _utm_about_origin(contents: Mapping[str, Any], file: str) -> PlaneToGeodetic:
@@ -97,7 +98,7 @@ def _about_origin(contents: Mapping[str, Any], file: str, **parameters: Any) -> 
     projection = pyproj.Proj(ellps="WGS84", **parameters)
     east_m, north_m = projection(longitude_deg, latitude_deg)
 
-    def geodetic(x_m: float, y_m: float) -> tuple[float, float]:
+    def geodetic(x_m: float, y_m: float, _: float) -> tuple[float, float]:
         longitude, latitude = projection(east_m + x_m, north_m + y_m, inverse=True)
         return _checked(math.radians(latitude), math.radians(longitude), file)
 
@@ -108,16 +109,16 @@ def _local_cartesian(contents: Mapping[str, Any], file: str) -> PlaneToGeodetic:
     latitude_deg, longitude_deg = _origin_deg(contents, file)
     frame = LocalFrame(math.radians(latitude_deg), math.radians(longitude_deg), 0.0)
 
-    def geodetic(x_m: float, y_m: float) -> tuple[float, float]:
-        # The height hardly moves a place: 100 m of it, 10 km from the origin, by 0.16 m.
-        latitude, longitude, _ = frame.geodetic_from_east_north(x_m, y_m, 0.0)
+    def geodetic(x_m: float, y_m: float, height_m: float) -> tuple[float, float]:
+        # Of a height above the geoid the undulation is missing: 100 m of it, 10 km from the origin, are 0.16 m.
+        latitude, longitude, _ = frame.geodetic_from_east_north(x_m, y_m, height_m)
         return _checked(latitude, longitude, file)
 
     return geodetic
 
 
 def _nowhere(_: Mapping[str, Any], file: str) -> PlaneToGeodetic:
-    def geodetic(x_m: float, y_m: float) -> tuple[float, float]:
+    def geodetic(x_m: float, y_m: float, height_m: float) -> tuple[float, float]:
         raise FormatError(file, "projector_type", "one that has a place on the earth", actual="Local")
 
     return geodetic
@@ -160,7 +161,7 @@ def _number(
 ) -> float:
     value = contents.get(key, default)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not low <= float(value) <= high:
+    if not is_number or not low <= value <= high:
         expected = f"a number from {low:g} to {high:g}".replace("-", "−")
         raise FormatError(file, key, expected, actual=None if value is None else str(value))
     return float(value)

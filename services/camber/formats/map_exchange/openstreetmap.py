@@ -23,16 +23,18 @@ Floats = NDArray[np.float64]
 
 SUFFIXES = (".osm", ".osm.gz", ".osm.bz2", ".pbf")
 _LANELET = re.compile(rb"""k\s*=\s*["']type["']\s+v\s*=\s*["']lanelet["']""")
+_DELETED = re.compile(rb"""\saction\s*=\s*["']delete["']""")
 _PIECE_BYTES = 1 << 20  # chosen: memory of the search
 _OVERLAP_BYTES = 64  # chosen: longer than what is searched for
 _METRES = re.compile(r"\s*(\d+(?:[.,]\d+)?)\s*m?\s*$")
-_FEET = re.compile(r"\s*(\d+)\s*'\s*(?:(\d+)\s*\")?\s*$")
+_FEET = re.compile(r"\s*(\d{1,4})\s*'\s*(?:(\d{1,4})\s*\")?\s*$")
 _FOOT_M, _INCH_M = 0.3048, 0.0254
 _LARGEST_ID = (
     1 << 36
 )  # chosen: five times the largest of 2026; 8 GB of bits, of which only pages in use are made
 _WIDEST_M = 100.0  # chosen: above any carriageway; a larger `width` is an error of the map
-_MOST_LANES = 20  # chosen: likewise
+_LANES = re.compile(r"\s*(1?[1-9]|10|20)\s*$")
+"""Chosen: up to 20 likewise."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,10 +48,14 @@ class OsmRoad:
 
 def has_lanelets(path: Path) -> bool:
     """Return whether an .osm file is a Lanelet2 map."""
+    return _contains(path, _LANELET)
+
+
+def _contains(path: Path, pattern: re.Pattern[bytes]) -> bool:
     end = b""
     with path.open("rb") as file:
         while piece := file.read(_PIECE_BYTES):
-            if _LANELET.search(end + piece):
+            if pattern.search(end + piece):
                 return True
             end = piece[-_OVERLAP_BYTES:]
     return False
@@ -64,6 +70,9 @@ def read_roads(path: Path, highways: frozenset[str]) -> list[OsmRoad]:
     import osmium
 
     file = str(path)
+    if path.suffix == ".osm" and _contains(path, _DELETED):
+        expected = "a file without elements that an editor marks as deleted, such as an extract"
+        raise FormatError(file, "action", expected, actual="delete")
     path.stat()
     # All that libosmium raises for damaged files.
     damage = (RuntimeError, ValueError, IndexError, OverflowError, osmium.InvalidLocationError)
@@ -84,15 +93,15 @@ def read_roads(path: Path, highways: frozenset[str]) -> list[OsmRoad]:
 def width_m(tags: Mapping[str, str], lane_m: float) -> float:
     """Return the width of a road [m]: `width`, or `lane_m` for each of its lanes.
 
-    Without `lanes` there is one for `oneway` and for a narrow road (`lanes` 1.5 and the like), else two.
+    Without `lanes`, or with one that is no whole number, there is one for `oneway`, else two.
     """
     stated = _stated_width_m(tags.get("width", ""))
     if stated is not None and 0.5 <= stated <= _WIDEST_M:
         return stated
     oneway = tags.get("oneway") in ("yes", "1", "-1", "true")
-    lanes = tags.get("lanes", "")
-    count = int(lanes) if lanes.isascii() and lanes.isdecimal() and 1 <= int(lanes) <= _MOST_LANES else None
-    return min(lane_m * (count or (1 if oneway else 2)), _WIDEST_M)
+    stated_lanes = _LANES.match(tags.get("lanes", ""))
+    count = int(stated_lanes[1]) if stated_lanes is not None else 1 if oneway else 2
+    return min(lane_m * count, _WIDEST_M)
 
 
 def _stated_width_m(text: str) -> float | None:

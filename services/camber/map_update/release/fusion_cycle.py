@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_update.admission import Refusal, check_roads
+from camber.map_update.admission import KnownRoads, Refusal, check_roads
 from camber.map_update.contribution import Contribution
 from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
 from camber.map_update.fusion.pipeline import Fusion
@@ -78,6 +78,11 @@ class FusionCycle:
         self._review = ReviewFolder(builder.folder, operators)
         self._review.publish_operators()
         self._versions = builder.versions_of_reference()
+        self._known_roads = KnownRoads(
+            surfaces=fusion.roads,
+            tiles=frozenset(builder.reference.tiles("surfaces")),
+            versions=self._versions,
+        )
         self._due_ns: int | None = None
         self._decided_state: object = None  # external state at the last decision; None: votes are newer
 
@@ -142,7 +147,7 @@ class FusionCycle:
 
     def refusal(self, contribution: Contribution) -> Refusal | None:
         """Return why a contribution cannot be of the roads of this map, or None."""
-        return check_roads(contribution, self._fusion.roads, self._versions)
+        return check_roads(contribution, self._known_roads)
 
     def changes(self, decided: FusionDecision, now_ns: int) -> MapChanges:
         """The changes that a decision holds, publishes and alarms, with their places."""

@@ -17,6 +17,7 @@ pyproj = pytest.importorskip("pyproj")
 pytest.importorskip("ruamel.yaml")
 
 TOKYO = "map_origin:\n  latitude: 35.6762 # [deg]\n  longitude: 139.6503\n  altitude: 0.0\n"
+HEIGHT_M = 1600.0
 PLACES_M = np.random.default_rng(3).uniform(-20_000.0, 20_000.0, (50, 2))
 
 
@@ -28,7 +29,7 @@ def projector_file(folder: Path, text: str) -> Path:
 
 def places_deg(folder: Path, text: str) -> np.ndarray:
     projector = read_map_projector(projector_file(folder, text))
-    return np.degrees([projector.geodetic(*place) for place in PLACES_M.tolist()])
+    return np.degrees([projector.geodetic(*place, HEIGHT_M) for place in PLACES_M.tolist()])
 
 
 def test_utm_about_an_origin_is_that_of_epsg(tmp_path: Path) -> None:
@@ -42,7 +43,7 @@ def test_mgrs_is_utm_from_the_corner_of_its_square(tmp_path: Path) -> None:
     projector = read_map_projector(
         projector_file(tmp_path, "projector_type: MGRS\nvertical_datum: WGS84\nmgrs_grid: 54SUE\n")
     )
-    latitude, longitude = np.degrees(projector.geodetic(81_655.0, 50_137.0))
+    latitude, longitude = np.degrees(projector.geodetic(81_655.0, 50_137.0, HEIGHT_M))
     x_m, y_m = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32654").transform(latitude, longitude)
     assert (x_m % 1e5, y_m % 1e5) == pytest.approx((81_655.0, 50_137.0), abs=1e-5)
 
@@ -63,7 +64,7 @@ def test_local_cartesian_is_east_and_north_of_the_tangent_plane(tmp_path: Path) 
         "+step +proj=topocentric +ellps=WGS84 +lat_0=35.6762 +lon_0=139.6503 +h_0=0"
     )
     latitude_deg, longitude_deg = places.T
-    east_m, north_m, _ = peer.transform(longitude_deg, latitude_deg, np.zeros(len(places)))
+    east_m, north_m, _ = peer.transform(longitude_deg, latitude_deg, np.full(len(places), HEIGHT_M))
     np.testing.assert_allclose(np.column_stack((east_m, north_m)), PLACES_M, atol=1e-4)
 
 
@@ -104,6 +105,12 @@ def test_heights_are_settled_by_egm2008_alone(stated: str, vertical: str | None,
         ("projector_type: LocalCartesian\nmap_origin: {latitude: .nan, longitude: 3}\n", "latitude"),
         (f"projector_type: TransverseMercator\nscale_factor: 0\n{TOKYO}", "scale_factor"),
         ("#" * 70_000, "size"),
+        ("projector_type: !!int ''\n", "YAML"),
+        ("projector_type: !!bool x\n", "YAML"),
+        (
+            f"projector_type: LocalCartesian\nmap_origin: {{latitude: 1{'0' * 400}, longitude: 3}}\n",
+            "latitude",
+        ),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(text: str, field: str, tmp_path: Path) -> None:

@@ -62,6 +62,14 @@ def test_a_road_ends_where_an_extract_has_no_node(tmp_path: Path) -> None:
     assert lines_deg(roads) == [[at[1], at[2]], [at[4], at[5]]]
 
 
+def test_a_file_with_what_an_editor_has_deleted_is_refused(tmp_path: Path) -> None:
+    text = osm_file(tmp_path / "a.osm").read_text()
+    assert text.count('<way id="10"') == 1
+    (tmp_path / "a.osm").write_text(text.replace('<way id="10"', '<way id="10" action="delete"'))
+    with pytest.raises(FormatError, match="action is 'delete', expected a file without elements"):
+        read_roads(tmp_path / "a.osm", HIGHWAYS)
+
+
 def test_a_loop_is_one_road(tmp_path: Path) -> None:
     (road,) = read_roads(osm_file(tmp_path / "a.pbf", {10: ([1, 2, 4, 1], {"highway": "service"})}), HIGHWAYS)
     assert len(road.vertices_rad) == 4
@@ -75,7 +83,12 @@ def test_a_loop_is_one_road(tmp_path: Path) -> None:
         ({"oneway": "-1", "lanes": "2"}, 6.0),
         ({"lanes": "4"}, 12.0),
         ({"lanes": "1.5"}, 6.0),
+        ({"lanes": "1.5", "oneway": "yes"}, 3.0),
         ({"lanes": "²"}, 6.0),
+        ({"lanes": "9" * 5000}, 6.0),
+        ({"lanes": "20"}, 60.0),
+        ({"lanes": "0"}, 6.0),
+        ({"width": "9" * 5000 + "'"}, 6.0),
         ({"lanes": "99"}, 6.0),
         ({"width": "7.5", "lanes": "4"}, 7.5),
         ({"width": "7,5 m"}, 7.5),

@@ -22,6 +22,8 @@ from camber.tools.maps.importers.lanes import Floats
 
 _WITHOUT_DATUM = frozenset({".gtx", ".isg"})
 _GSIGEO_UNKNOWN_M = 999.0  # source: format of GSIGEO2011, where there is no geoid
+_ARCSECONDS = 3600  # of a degree
+_STEP_ROUNDING_DEG = 0.5e-6  # source: format of GSIGEO2011, six decimals
 _GSIGEO_HEAD_FIELDS = 7  # source: format of GSIGEO2000 and GSIGEO2011, first line up to its kind
 
 
@@ -92,8 +94,8 @@ def read_gsigeo(path: Path) -> tuple[Floats, tuple[float, float], tuple[float, f
 
     Also returned: latitude and longitude of the south-western node and the steps between nodes [deg]. The first line
     has these, the number of rows and columns, a kind and a version; steps are rounded there (0.016667 for one minute),
-    so one that is a whole part of a degree to 1e-3 is taken as that. FormatError for anything else. Source: Geospatial
-    Information Authority of Japan, format of GSIGEO2000 and GSIGEO2011.
+    so one that is a whole number of arcseconds to their rounding is taken as that. FormatError for anything else.
+    Source: Geospatial Information Authority of Japan, format of GSIGEO2000 and GSIGEO2011.
     """
     file = str(path)
     head, _, body = path.read_text("ascii", "replace").partition("\n")
@@ -121,5 +123,6 @@ def read_gsigeo(path: Path) -> tuple[Floats, tuple[float, float], tuple[float, f
 
 
 def _exact_step_deg(step_deg: float) -> float:
-    parts = 1.0 / step_deg
-    return 1.0 / round(parts) if abs(parts - round(parts)) <= 1e-3 * parts else step_deg
+    parts = max(round(1.0 / step_deg), 1)
+    is_rounded = _ARCSECONDS % parts == 0 and abs(1.0 / parts - step_deg) <= _STEP_ROUNDING_DEG
+    return 1.0 / parts if is_rounded else step_deg

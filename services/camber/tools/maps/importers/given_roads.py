@@ -93,7 +93,9 @@ def _openstreetmap(
     if args.sigma_m < _OSM_SIGMA_M:
         expected = f"{_OSM_SIGMA_M:g} m or more for roads of OpenStreetMap, whose lines are metres off"
         raise FormatError(str(path), "--sigma-m", expected, actual=f"{args.sigma_m:g}")
-    of_file = read_roads(path, frozenset(args.highways.split(",")))
+    chosen = frozenset(args.highways.split(","))
+    # Cut by the usual kinds whatever is chosen, so that ids are the same.
+    of_file = [road for road in read_roads(path, chosen | set(HIGHWAYS)) if road.tags["highway"] in chosen]
     roads = _once([road for road in of_file if bounds_rad is None or _reaches_into(road, bounds_rad)])
     left_out = left_out_lanes(args)
     levels: list[int] = []
@@ -102,7 +104,7 @@ def _openstreetmap(
         try:
             levels.append(level_of(road.tags))
             kept.append(road)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             name = f"way {road.osm_id}"
             left_out.add(name, FormatError(str(path), name, f"a whole number as layer ({error})"))
     links = named_links(

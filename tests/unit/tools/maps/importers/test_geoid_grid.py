@@ -116,6 +116,13 @@ def test_rounded_steps_of_the_file_do_not_move_its_northern_rows(tmp_path: Path)
     assert steps_deg == STEPS_DEG
 
 
+@pytest.mark.parametrize("step_deg", [0.0015, 0.0013, 0.02])
+def test_steps_that_are_no_part_of_a_degree_stay(step_deg: float, tmp_path: Path) -> None:
+    (tmp_path / "a.asc").write_text(f"35 136 {step_deg} {step_deg} 2 2 1 v\n1 2 3 4\n")
+    _, _, steps_deg = read_gsigeo(tmp_path / "a.asc")
+    assert steps_deg == pytest.approx((step_deg, step_deg), abs=1e-12)
+
+
 def test_a_place_without_an_undulation_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         FormatError, match=r"^town.osm: vertical datum .* a place within the grid of geoid grid"

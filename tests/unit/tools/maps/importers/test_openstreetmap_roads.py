@@ -80,6 +80,16 @@ def test_streets_have_the_heights_of_the_ground_and_bridges_none(name: str, tmp_
     assert set((2.0 * surfaces.half_width_m).round(1).tolist()) == {5.0, 3.0}
 
 
+def test_ids_do_not_depend_on_the_kinds_that_are_chosen(tmp_path: Path) -> None:
+    roads = extract(tmp_path / "town.pbf", STREETS)
+    assert build(tmp_path, roads) == 0
+    options = ("--roads", roads, "--sigma-m", 0.5, "--highways", "residential", terrain(tmp_path))
+    assert build_map("geotiff", tmp_path / "fewer", *options) == 0
+    all_links, fewer = (set(open_release(tmp_path / name).road_links().link_id) for name in ("map", "fewer"))
+    assert len(fewer) == 2
+    assert fewer < all_links
+
+
 def test_links_of_a_crossing_share_its_node(tmp_path: Path) -> None:
     assert build(tmp_path, extract(tmp_path / "town.pbf", STREETS)) == 0
     links = open_release(tmp_path / "map").road_links()
@@ -100,8 +110,9 @@ def test_a_crossing_without_a_node_is_left_out_and_named(tmp_path: Path, refused
     assert "way 11 is 'crosses way 12', expected a node where it crosses" in line
 
 
-def test_a_layer_that_is_no_number_is_named(tmp_path: Path, refused: Refused) -> None:
-    lines = STREETS | {12: ([6, 7], {"highway": "primary", "layer": "1;2"})}
+@pytest.mark.parametrize("layer", ["1;2", "inf", "1e400"])
+def test_a_layer_that_is_no_number_is_named(layer: str, tmp_path: Path, refused: Refused) -> None:
+    lines = STREETS | {12: ([6, 7], {"highway": "primary", "layer": layer})}
     roads = extract(tmp_path / "town.pbf", lines)
     assert "way 12, expected a whole number as layer" in refused(
         lambda _: build(tmp_path, roads, 0.5, "--strict")
