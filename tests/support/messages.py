@@ -168,6 +168,20 @@ def _agreed_surface_tile(builder: _Builder, values: dict[str, Any]) -> dict[str,
     return {"rows": rows, "columns": columns, "first_height": first, "grid_m": grid}
 
 
+def _agreed_map_decision(builder: _Builder, values: dict[str, Any]) -> dict[str, Any]:
+    back = values["action"] == "roll_back"
+    needed = {
+        "surface_id": None if back else builder.random.randint(0, 2**62),
+        "offset_m": None if back else builder.random.uniform(-100.0, 100.0),
+        "map_version": builder.random.randint(0, 2**62) if back else None,
+    }
+    signed = (
+        {} if values["key_id"] and values["signature"] is not None else {"key_id": None, "signature": None}
+    )
+    return needed | signed | {"who": "Ann", "why": "é高 seen on site"}
+
+
 _AGREED: dict[str, Callable[[_Builder, dict[str, Any]], dict[str, Any]]] = {
+    "MapDecision": _agreed_map_decision,
     "SurfaceTile": _agreed_surface_tile,
 }

@@ -131,7 +131,7 @@ def test_an_operator_accepts_what_is_held_and_the_next_vehicle_confirms_there(tm
     record = ReviewFolder(tmp_path / "cloud/releases").decisions()
     assert {each.surface_id for each in record} == set(changed.tolist())
     for each in record:
-        load_operator_keys(operators).check(each.to_message())
+        load_operator_keys(operators).check(each)
         assert (each.action, each.who) == ("accept", "Ann")
     confirmed, total = confirmed_there(replay(tmp_path, 9, 1, "cloud/releases"))
     print(f"confirmed at once where the road has changed: {confirmed} of {total}")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal, Self, get_args
+from unicodedata import category
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from camber.schemas.base import (
     ArrayOf,
@@ -241,6 +243,14 @@ class MapVotes(Message):
 
 
 ReviewAction = Literal["accept", "reject", "roll_back"]
+OffsetOfVotes = Annotated[float, Field(ge=-100.0, le=100.0)]
+
+
+def _printable(text: str) -> str:
+    """Check a text that terminals show: no control characters."""
+    if not text.strip() or not all(each.isprintable() or category(each) == "Zs" for each in text):
+        raise PydanticCustomError("printable", "printable characters, not spaces alone")
+    return text
 
 
 class MapDecision(Message):
@@ -251,16 +261,25 @@ class MapDecision(Message):
 
     action: ReviewAction
     surface_id: Count | None = Field(None, description="whose change is accepted or rejected")
-    offset_m: Annotated[float, Field(ge=-100.0, le=100.0)] | None = Field(
-        None, description="offset of the votes as the operator saw it"
-    )
+    offset_m: OffsetOfVotes | None = Field(None, description="offset of the votes as the operator saw it")
     map_version: Count | None = Field(
         None, description="release whose corrections come again, with `roll_back`"
     )
-    who: Annotated[str, Field(min_length=1, max_length=64, pattern=r"\S")]
-    why: Annotated[str, Field(min_length=1, max_length=400, pattern=r"\S")]
+    who: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
+    why: Annotated[str, Field(min_length=1, max_length=400), AfterValidator(_printable)]
     key_id: Name | None = Field(None, description="which key signed; None: unsigned")
     signature: Annotated[UInt8, ArrayOf("|u1", (64,))] | None = Field(None, description="Ed25519")
+
+    @model_validator(mode="after")
+    def _has_what_its_action_needs(self) -> Self:
+        back = self.action == "roll_back"
+        for name, needed in (("surface_id", not back), ("offset_m", not back), ("map_version", back)):
+            if (getattr(self, name) is not None) != needed:
+                expected = f"{self.action} {'with' if needed else 'without'} {name}"
+                raise PydanticCustomError("action", "{expected}", {"expected": expected})
+        if (self.key_id is None) != (self.signature is None):
+            raise PydanticCustomError("signed", "key_id and signature, or neither")
+        return self
 
 
 def decision_bytes(decision: MapDecision) -> bytes:

@@ -66,7 +66,7 @@ class MapReview:
             decision = _decision_of(body)
         except ValidationError as error:
             return Answer(400, {"reason": str(first_refused(error))})
-        except (ValueError, TypeError, RecursionError):
+        except (ValueError, TypeError, OverflowError, RecursionError):
             return Answer(400, {"reason": "not a decision in JSON"})
         assert self._key is not None
         replies = self._ask("map_decision", sign_decision(decision, self._key))

@@ -289,7 +289,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
                 self.bus.wake()
                 return MapDecisionReceipt(time_ns=now_ns, status="recorded")
         self.bus.count("refused.decision")
-        self.bus.issue("decision_refused", f"{decision.action} by {decision.who[:64]}: {reason}")
+        self.bus.issue("decision_refused", f"{decision.action}: {reason}")
         return MapDecisionReceipt(time_ns=now_ns, status="refused", reason=reason[:512])
 
     def _report(self, result: FusionDecision, now_ns: int) -> None:

@@ -9,14 +9,19 @@ release at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history
-from camber.map_update.release.review import HeldChange, ReviewDecision, ReviewFolder, is_same_change
+from camber.map_update.release.review import (
+    HeldChange,
+    SurfaceOutcome,
+    RecordLine,
+    ReviewFolder,
+    is_same_change,
+)
 from camber.road_map.operator_keys import OperatorKeys
 from camber.road_map.release_files import ReleaseFolder
 from camber.road_map.road_columns import ReleaseError
@@ -35,6 +40,9 @@ def decide(
     review: ReviewFolder, decisions: Sequence[MapDecision], operators: OperatorKeys | None = None
 ) -> None:
     """Record decisions to accept or reject changes: all, or none and a ReleaseError. OSError of the disk."""
+    surfaces = [decision.surface_id for decision in decisions]
+    if len(set(surfaces)) < len(surfaces):
+        raise ReleaseError("decision", "surface", "each once")
     with review.locked():
         held = {change.surface_id: change for change in review.held()}
         newest = review.newest()
@@ -42,7 +50,7 @@ def decide(
             if operators is not None:
                 operators.check(decision)
             _check_change(decision, held, newest)
-        review.append([ReviewDecision.from_message(decision) for decision in decisions])
+        review.append([RecordLine(decision) for decision in decisions])
 
 
 def roll_back(
@@ -53,34 +61,19 @@ def roll_back(
     time_ns: int,
     operators: OperatorKeys | None = None,
 ) -> RolledBack:
-    """Record a decision to go back, reject what it withdraws, so that the same votes do not publish it again, and make
+    """Record a decision to go back with what it withdraws, so that the same votes do not publish it again, and make
     the release. ReleaseError for one that is refused."""
-    if decision.map_version is None:
+    if decision.action != "roll_back" or decision.map_version is None:
         raise ReleaseError("decision", "map_version", "a version to go back to")
     with review.locked():
         if operators is not None:
             operators.check(decision)
-        line = ReviewDecision.from_message(decision)
-        if line in review.decisions():
+        if decision in review.decisions():
             raise ReleaseError("decision", "roll_back", "one that was not made before")
         target = _corrections_at(builder, decision.map_version)
-        withdrawn = other_offsets(builder.corrections(), target)
-        why = f"rolled back to version {decision.map_version}: {decision.why}"
-        rejected = [
-            replace(
-                line,
-                surface_id=int(row["surface_id"]),
-                offset_m=float(row["offset_m"]),
-                action="reject",
-                why=why,
-                map_version=None,
-                key_id=None,
-                signature=None,
-                rests_on=line.signature,
-            )
-            for row in withdrawn
-        ]
-        review.append([line, *rejected])
+        rows = other_offsets(builder.corrections(), target)[["surface_id", "offset_m"]]
+        withdrawn = tuple((int(surface_id), float(offset_m)) for surface_id, offset_m in rows)
+        review.append([RecordLine(decision, withdrawn)])
     return RolledBack(builder.roll_back(decision.map_version, time_ns=time_ns), len(withdrawn))
 
 
@@ -97,20 +90,16 @@ def other_offsets(mine: Corrections, theirs: Corrections, *, gone: bool = False)
 
 
 def _check_change(
-    decision: MapDecision, held: dict[int, HeldChange], newest: dict[int, ReviewDecision]
+    decision: MapDecision, held: dict[int, HeldChange], newest: dict[int, SurfaceOutcome]
 ) -> None:
     """Raise ReleaseError unless this change is held, has this height, and was not decided on."""
     surface_id, offset_m = decision.surface_id, decision.offset_m
     if surface_id is None or offset_m is None:
-        raise ReleaseError("decision", "surface", "one that is held", actual="none")
+        raise ReleaseError("decision", "action", "accept or reject", actual=decision.action)
     change, before = held.get(surface_id), newest.get(surface_id)
     error_m = 0.0 if change is None else change.standard_error_m
-    if (
-        before is not None
-        and before.offset_m is not None
-        and is_same_change(before.offset_m, offset_m, error_m)
-    ):
-        decided = f"decided already: {before.action} by {before.who}"
+    if before is not None and is_same_change(before.offset_m, offset_m, error_m):
+        decided = f"decided already: {before.action} by {before.decision.who}"
         raise ReleaseError("decision", "surface", "one without a decision", actual=f"{surface_id}, {decided}")
     if change is None:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(surface_id))

@@ -8,8 +8,9 @@ Files beside the releases, in `review`, each with one kind of writer:
     operators.json    the public keys of operators, if they have any, for tools; map_update trusts its settings only
 
 A decision refers to a change of a given height: it applies as long as the votes give the same height, and lapses when
-they give another one. The next fusion cycle applies it. Where operators have keys, a decision without the signature of
-one of them does not apply. `operator_decisions.py` checks and records decisions.
+they give another one. The next fusion cycle applies it. Where operators have keys, a change is published only where
+one of them signed that it is accepted; what was rejected stays so, also without a signature and after its key was
+removed. `operator_decisions.py` checks and records decisions.
 """
 
 from __future__ import annotations
@@ -17,22 +18,25 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, Strict, ValidationError
 
 from camber.map_update.fusion.publication_decision import DECISIONS, REASONS, Decisions
 from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
 from camber.road_map.operator_keys import OperatorKeys
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
-from camber.schemas.fleet import MapDecision, ReviewAction
+from camber.schemas.base import Count
+from camber.schemas.fleet import MapDecision, OffsetOfVotes, ReviewAction
 from camber.schemas.plain_file import read_plain_file
+from camber.schemas.refused_field import first_refused
 
 # Chosen: a decision applies to heights within 1 cm or three standard errors; an accepted σ is at least 5 mm.
 _SAME_M = 0.01
@@ -48,6 +52,7 @@ _NUMBERS = (
 """Columns of DECISION that a change has."""
 _PLACE = ("link_id", "latitude_rad", "longitude_rad")
 """Columns of SurfaceNeighbourhood that it has."""
+_CODED = {"signature", "withdrawn"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,60 +78,74 @@ class HeldChange:
     longitude_rad: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReviewDecision:
-    """A line of the record: an operator's decision on a surface whose votes gave `offset_m`, or to go back.
+class RecordLine(NamedTuple):
+    """A line of the record: a decision, and with `roll_back` the surfaces that it withdrew, each with its offset."""
 
-    `rests_on`: the signature of the decision to go back that rejected this surface; `map_version`: back to which.
-    """
+    decision: MapDecision
+    withdrawn: tuple[tuple[int, float], ...] = ()
 
-    surface_id: int | None
-    action: ReviewAction
-    offset_m: float | None
-    who: str
-    why: str
-    time_ns: int
-    map_version: int | None = None
-    key_id: str | None = None
-    signature: str | None = None
-    rests_on: str | None = None
-
-    def to_json(self) -> str:
-        """Return the line of decisions.jsonl, in which `action` is called `word`."""
-        fields = {"word" if name == "action" else name: value for name, value in asdict(self).items()}
-        return json.dumps(fields, ensure_ascii=False)
+    def to_json(self) -> bytes:
+        """Return the line of decisions.jsonl."""
+        fields = {name: value for name, value in self.decision.__dict__.items() if value is not None}
+        if self.decision.signature is not None:
+            fields["signature"] = self.decision.signature.tobytes().hex()
+        if self.withdrawn:
+            fields["withdrawn"] = self.withdrawn
+        return json.dumps(fields, ensure_ascii=False).encode() + b"\n"
 
     @classmethod
-    def from_json(cls, line: bytes) -> ReviewDecision:
-        """Parse a line of decisions.jsonl; raises ValueError or TypeError."""
+    def from_json(cls, line: bytes) -> RecordLine:
+        """Parse a line of decisions.jsonl; raises ValueError, of which ValidationError is one."""
         fields = json.loads(line)
-        return cls(**{"action" if name == "word" else name: value for name, value in fields.items()})
+        if not isinstance(fields, dict):
+            raise ValueError("an object")
+        coded = _Coded.model_validate({name: fields.pop(name) for name in _CODED & fields.keys()})
+        if coded.signature is not None:
+            fields["signature"] = np.frombuffer(bytes.fromhex(coded.signature), np.uint8)
+        return cls(MapDecision(**fields), coded.withdrawn)
 
-    @classmethod
-    def from_message(cls, message: MapDecision) -> ReviewDecision:
-        """Return the line of a decision."""
-        values = {name: value for name, value in message.__dict__.items() if name != "signature"}
-        signature = None if message.signature is None else message.signature.tobytes().hex()
-        return cls(**values, signature=signature)
+    def outcomes(self) -> Iterator[SurfaceOutcome]:
+        """Yield what it decides of each surface."""
+        decision = self.decision
+        for surface_id, offset_m in self.withdrawn:
+            yield SurfaceOutcome(surface_id, "reject", offset_m, decision)
+        if (
+            decision.action != "roll_back"
+            and decision.surface_id is not None
+            and decision.offset_m is not None
+        ):
+            yield SurfaceOutcome(decision.surface_id, decision.action, decision.offset_m, decision)
 
-    def to_message(self) -> MapDecision:
-        """Return the decision as it was signed; raises ValueError for an impossible one."""
-        values = {name: value for name, value in asdict(self).items() if name != "rests_on"}
-        if self.signature is not None:
-            values["signature"] = np.frombuffer(bytes.fromhex(self.signature), np.uint8)
-        return MapDecision(**values)
+
+class SurfaceOutcome(NamedTuple):
+    """What a decision means for a surface whose votes gave `offset_m`."""
+
+    surface_id: int
+    action: Literal["accept", "reject"]
+    offset_m: float
+    decision: MapDecision
+
+
+_Withdrawn = Annotated[tuple[Count, OffsetOfVotes], Strict(False)]  # of JSON's lists
+
+
+class _Coded(BaseModel, strict=True, allow_inf_nan=False):
+    """Fields of a line that are no fields of the message, or of another type there."""
+
+    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")] | None = None
+    withdrawn: Annotated[tuple[_Withdrawn, ...], Strict(False)] = ()
 
 
 class ReviewFolder:
     """The folder `review` of a folder of releases. Raises ReleaseError for invalid files, OSError of the disk.
 
-    With `operators` only decisions that one of them signed apply.
+    With `operators` only what one of them accepted is published.
     """
 
     def __init__(self, releases: Path, operators: OperatorKeys | None = None) -> None:
         self._operators = operators
         self._published = releases / "review" / "operators.json"
-        self._verified: dict[str, bool] = {}
+        self._verified: dict[bytes, bool] = {}
         self._held = releases / "review" / "held.json"
         self._pending = releases / "review" / "pending.json"
         self._decisions = releases / "review" / "decisions.jsonl"
@@ -139,30 +158,27 @@ class ReviewFolder:
         """Return the changes that wait for more votes, those of the most standard errors first."""
         return _read_changes(self._pending)
 
-    def decisions(self) -> list[ReviewDecision]:
-        """Return all decisions in order; an incomplete last line is ignored."""
+    def lines(self) -> list[RecordLine]:
+        """Return the whole record in order; an incomplete last line is ignored."""
         try:
-            lines = read_plain_file(self._decisions, _MOST_BYTES).split(b"\n")
+            texts = read_plain_file(self._decisions, _MOST_BYTES).split(b"\n")
         except FileNotFoundError:
             return []
-        try:
-            return [ReviewDecision.from_json(line) for line in lines[:-1]]
-        except (ValueError, TypeError, AttributeError) as error:
-            raise ReleaseError(str(self._decisions), "line", f"a decision ({error})") from None
+        return [self._parsed(text, number) for number, text in enumerate(texts[:-1], start=1)]
 
-    def append(self, decisions: list[ReviewDecision]) -> None:
-        """Append decisions; they are on the disk when this returns."""
-        for each in decisions:
-            if not each.who.strip() or not each.why.strip():
-                raise ReleaseError("review", "who and why", "text: a decision has an author and a reason")
-        text = "".join(f"{each.to_json()}\n" for each in decisions)
+    def decisions(self) -> list[MapDecision]:
+        """Return all decisions in order."""
+        return [line.decision for line in self.lines()]
+
+    def append(self, lines: Sequence[RecordLine]) -> None:
+        """Append to the record; the lines are on the disk when this returns."""
         self._decisions.parent.mkdir(parents=True, exist_ok=True)
         with self._decisions.open("a+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             if file.seek(0, os.SEEK_END):
                 file.seek(0)
                 file.truncate(file.read().rfind(b"\n") + 1)  # remove the incomplete line of a killed writer
-            file.write(text.encode())
+            file.write(b"".join(line.to_json() for line in lines))
             file.flush()
             os.fsync(file.fileno())
 
@@ -180,7 +196,7 @@ class ReviewFolder:
             if action == "reject":
                 row["decision"] = DECISIONS.index("nothing")
                 row["correction_m"], row["sigma_m"] = row["previous_correction_m"], np.nan
-            elif row["decision"] == DECISIONS.index("hold"):
+            elif action == "accept" and row["decision"] == DECISIONS.index("hold"):
                 row["decision"] = DECISIONS.index("publish")
                 row["correction_m"] = row["offset_m"]
                 row["sigma_m"] = max(float(row["standard_error_m"]), _LEAST_SIGMA_M)
@@ -214,41 +230,48 @@ class ReviewFolder:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
-    def newest(self) -> dict[int, ReviewDecision]:
-        """Return the last decision on each surface, of those that apply."""
-        decisions = self.decisions()
-        verified = {each.signature for each in decisions if self._is_verified(each)}
+    def newest(self) -> dict[int, SurfaceOutcome]:
+        """Return the last outcome for each surface, of those that apply: all that reject, and what may accept."""
         return {
-            each.surface_id: each
-            for each in decisions
-            if each.surface_id is not None
-            and (self._operators is None or (each.rests_on or each.signature) in verified)
+            outcome.surface_id: outcome
+            for line in self.lines()
+            for outcome in line.outcomes()
+            if outcome.action == "reject" or self._may_accept(line)
         }
 
-    def _is_verified(self, decision: ReviewDecision) -> bool:
-        """Return whether an operator signed it; each is verified once."""
-        if self._operators is None or decision.signature is None:
-            return False
-        line = decision.to_json()
-        if line not in self._verified:
+    def _may_accept(self, line: RecordLine) -> bool:
+        """Return whether an operator signed this very line, where operators have keys; each is verified once."""
+        if self._operators is None:
+            return True
+        text = line.to_json()
+        if text not in self._verified:
             try:
-                self._operators.check(decision.to_message())
-                self._verified[line] = True
-            except (ReleaseError, ValueError):
-                self._verified[line] = False
-        return self._verified[line]
+                self._operators.check(line.decision)
+                self._verified[text] = True
+            except ReleaseError:
+                self._verified[text] = False
+        return self._verified[text]
+
+    def _parsed(self, text: bytes, number: int) -> RecordLine:
+        try:
+            return RecordLine.from_json(text)
+        except ValidationError as error:
+            refused = first_refused(error, whole="line")
+            name, expected, actual = refused.name, refused.expected, refused.value
+        except (ValueError, RecursionError):
+            name, expected, actual = "line", "a decision in JSON", None
+        raise ReleaseError(str(self._decisions), name, expected, actual=actual, line_number=number)
 
     def _applicable(self, rows: NDArray[np.void]) -> dict[int, ReviewAction]:
         """Return row → action of the last decision on its surface, if it still refers to the votes' height."""
         newest = self.newest()
         actions: dict[int, ReviewAction] = {}
         for at, surface_id in enumerate(rows["surface_id"].tolist()):
-            decision = newest.get(surface_id)
-            if decision is None or decision.offset_m is None:
-                continue
-            row = rows[at]
-            if is_same_change(decision.offset_m, float(row["offset_m"]), float(row["standard_error_m"])):
-                actions[at] = decision.action
+            outcome, row = newest.get(surface_id), rows[at]
+            if outcome is not None and is_same_change(
+                outcome.offset_m, float(row["offset_m"]), float(row["standard_error_m"])
+            ):
+                actions[at] = outcome.action
         return actions
 
 

@@ -109,8 +109,11 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
             )
         else:
             lines.append(f"{made.manifest.map_version:>8}  as the reference")
-    decided = [each for each in ReviewFolder(folder).decisions() if each.surface_id == surface_id]
-    lines += [f"{each.action} at {each.offset_m or 0.0:+.3f} m by {each.who}: {each.why}" for each in decided]
+    for each in (outcome for line in ReviewFolder(folder).lines() for outcome in line.outcomes()):
+        if each.surface_id == surface_id:
+            decision = each.decision
+            back = "" if decision.map_version is None else f" (back to version {decision.map_version})"
+            lines.append(f"{each.action} at {each.offset_m:+.3f} m by {decision.who}: {decision.why}{back}")
     return lines if uploads is None else lines + _votes(uploads, surface_id)
 
 

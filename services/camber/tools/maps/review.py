@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_update.release.operator_decisions import decide
-from camber.map_update.release.review import HeldChange, ReviewDecision, ReviewFolder
+from camber.map_update.release.review import HeldChange, RecordLine, ReviewFolder
 from camber.road_map.operator_keys import sign_decision
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
@@ -75,7 +75,7 @@ def _carry_out(args: argparse.Namespace) -> int | str:
         raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
     review = ReviewFolder(args.releases)
     if args.log:
-        print("\n".join(map(log_line, review.decisions())))
+        print("\n".join(map(log_line, review.lines())))
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
@@ -107,12 +107,14 @@ def decision_of(args: argparse.Namespace, action: ReviewAction, **values: Any) -
     return decision if key is None else sign_decision(decision, load_signing_key(key))
 
 
-def log_line(decision: ReviewDecision) -> str:
+def log_line(line: RecordLine) -> str:
     """A decision of the record."""
+    decision = line.decision
     what = f"{decision.surface_id:>19}" if decision.surface_id is not None else f"{'':>19}"
     detail = f"{decision.offset_m:+8.3f} m" if decision.offset_m is not None else f"to {decision.map_version}"
+    withdrew = f", withdrew {len(line.withdrawn)} changes" if line.withdrawn else ""
     by = f", key {decision.key_id}" if decision.key_id else ""
-    return f"{what}  {decision.action:<9}  {detail:<10}  {decision.who}: {decision.why}{by}"
+    return f"{what}  {decision.action:<9}  {detail:<10}  {decision.who}: {decision.why}{withdrew}{by}"
 
 
 def _listed(args: argparse.Namespace, changes: Sequence[HeldChange]) -> str:

@@ -12,9 +12,10 @@ from pydantic import ValidationError
 
 from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, Decisions
 from camber.map_update.release.operator_decisions import decide, roll_back
-from camber.map_update.release.review import ReviewFolder
+from camber.map_update.release.review import RecordLine, ReviewFolder
 from camber.road_map.operator_keys import OperatorKeys, load_operator_keys, sign_decision
 from camber.road_map.road_columns import ReleaseError
+from camber.road_map.signing_keys import key_id
 from camber.schemas.fleet import MapDecision
 from support.release_world import KEY, OTHER_KEY, making, offsets, public_pem
 from support.small_map import MADE_NS
@@ -41,15 +42,19 @@ def decision(key: Ed25519PrivateKey | None = KEY, **changed: Any) -> MapDecision
     return made if key is None else sign_decision(made, key)
 
 
+def result(review: ReviewFolder, decisions: Decisions) -> str:
+    return DECISIONS[review.apply(decisions, MADE_NS).surfaces["decision"][0]]
+
+
 def test_a_signed_decision_applies_and_the_record_shows_by_whom_and_why(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
     decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
     decide(review, [decision()], operators)
-    assert DECISIONS[review.apply(decisions, MADE_NS).surfaces["decision"][0]] == "publish"
+    assert result(review, decisions) == "publish"
     (recorded,) = review.decisions()
     assert (recorded.who, recorded.why, recorded.action) == ("ann", "seen on site", "accept")
-    operators.check(recorded.to_message())
+    operators.check(recorded)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +63,7 @@ def test_a_signed_decision_applies_and_the_record_shows_by_whom_and_why(
         ({"key": None}, "signature"),
         ({"key": OTHER_KEY}, "an operator's key"),
         ({"surface_id": 5}, "one that is held"),
-        ({"surface_id": None, "offset_m": None}, "one that is held"),
+        ({"action": "roll_back", "surface_id": None, "offset_m": None, "map_version": 8}, "accept or reject"),
         ({"offset_m": 0.2}, r"\+0.310 m, which the votes give now"),
     ],
 )
@@ -102,20 +107,83 @@ def test_of_several_decisions_none_is_recorded_where_one_is_refused(
     assert ReviewFolder(tmp_path).decisions() == []
 
 
-@pytest.mark.parametrize("missing", [{"who": " "}, {"why": ""}])
-def test_a_decision_has_who_and_why(missing: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"who": " "},
+        {"why": ""},
+        {"who": "ann\x1b[2J"},
+        {"why": "first\nsecond"},
+        {"why": "from right to left \u202e"},
+        {"map_version": 8},
+        {"surface_id": None},
+        {"offset_m": None},
+        {"action": "roll_back"},
+        {"action": "roll_back", "surface_id": None, "offset_m": None},
+        {"action": "roll_back", "map_version": 8},
+    ],
+)
+def test_a_decision_has_who_and_why_in_print_and_only_what_its_action_needs(changed: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
-        decision(**missing)
+        decision(**changed)
 
 
-def test_unsigned_lines_of_the_record_do_not_apply_where_operators_have_keys(
+def test_names_and_reasons_may_be_in_any_script() -> None:
+    assert decision(who="山田\u3000太郎", why="été, ёлка").who == "山田\u3000太郎"
+
+
+def test_a_surface_is_decided_on_once_in_a_list(tmp_path: Path, operators: OperatorKeys) -> None:
+    held(tmp_path)
+    review = ReviewFolder(tmp_path, operators)
+    with pytest.raises(ReleaseError, match="each once"):
+        decide(review, [decision(), decision(action="reject")], operators)
+    assert review.decisions() == []
+
+
+def test_a_signature_counts_only_for_the_line_that_was_signed(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
+    decide(review, [decision(action="reject")], operators)
+    (rejected,) = review.lines()
+    record = tmp_path / "review" / "decisions.jsonl"
+    forged = MapDecision(**rejected.decision.__dict__ | {"action": "accept"})
+    review.append([RecordLine(forged)])
+    assert result(review, decisions) == "nothing"
+    record.unlink()
+    other = MapDecision(**forged.__dict__ | {"surface_id": 5})
+    review.append([rejected._replace(decision=decision(action="reject", surface_id=6)), RecordLine(other)])
+    assert list(review.newest()) == [6]
+
+
+def test_what_was_rejected_stays_so_when_keys_are_set_or_removed(
+    tmp_path: Path, operators: OperatorKeys
+) -> None:
+    others = OperatorKeys(keys={key_id(OTHER_KEY.public_key()): OTHER_KEY.public_key()})
+    for key, now in ((None, operators), (KEY, others)):
+        folder = tmp_path / f"{key}"
+        decisions = held(folder)
+        decide(ReviewFolder(folder), [decision(key, action="reject")])
+        assert result(ReviewFolder(folder, now), decisions) == "nothing"
+        decisions.surfaces["decision"] = DECISIONS.index("publish")
+        assert result(ReviewFolder(folder, now), decisions) == "nothing"
+
+
+def test_going_back_publishes_no_surface(tmp_path: Path, operators: OperatorKeys) -> None:
+    decisions = held(tmp_path)
+    back = decision(action="roll_back", surface_id=None, offset_m=None, map_version=8)
+    review = ReviewFolder(tmp_path, operators)
+    review.append([RecordLine(back, ((4, 0.31),))])
+    assert result(review, decisions) == "nothing"
+
+
+def test_unsigned_lines_of_the_record_publish_nothing_where_operators_have_keys(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
     decisions = held(tmp_path)
     decide(ReviewFolder(tmp_path), [decision(None)])
-    assert DECISIONS[ReviewFolder(tmp_path).apply(decisions, MADE_NS).surfaces["decision"][0]] == "publish"
-    result = ReviewFolder(tmp_path, operators).apply(decisions, MADE_NS)
-    assert DECISIONS[result.surfaces["decision"][0]] == "hold"
+    assert result(ReviewFolder(tmp_path), decisions) == "publish"
+    assert result(ReviewFolder(tmp_path, operators), decisions) == "hold"
 
 
 def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
@@ -132,7 +200,7 @@ def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
             **{name: getattr(back, name) for name in ("action", "surface_id", "offset_m", "map_version")},
         ),
         decision(action="roll_back", surface_id=None, offset_m=None, map_version=77),
-        decision(action="roll_back"),
+        decision(),
     ):
         with pytest.raises(ReleaseError):
             roll_back(review, refused, builder, time_ns=MADE_NS, operators=operators)
@@ -144,7 +212,7 @@ def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
         roll_back(review, back, builder, time_ns=MADE_NS + 10, operators=operators)
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
-    assert DECISIONS[review.apply(Decisions(surfaces=rows), MADE_NS).surfaces["decision"][0]] == "nothing"
+    assert result(review, Decisions(surfaces=rows)) == "nothing"
 
 
 def test_a_folder_without_keys_is_refused(tmp_path: Path) -> None:

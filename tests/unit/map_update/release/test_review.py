@@ -11,8 +11,9 @@ import pytest
 
 from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, REASONS, Decision, Decisions
 from camber.map_update.fusion.surface_neighbours import build_neighbourhood
-from camber.map_update.release.review import ReviewAction, ReviewDecision, ReviewFolder
+from camber.map_update.release.review import RecordLine, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
+from camber.schemas.fleet import MapDecision, ReviewAction
 from support.small_map import MADE_NS, at, surface, surfaces
 
 
@@ -27,9 +28,9 @@ def decisions(*rows: tuple[int, Decision, float]) -> Decisions:
     return Decisions(surfaces=decided)
 
 
-def review_decision(surface_id: int, action: ReviewAction, offset_m: float, **changed: Any) -> ReviewDecision:
-    values = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS, **changed}
-    return ReviewDecision(surface_id=surface_id, action=action, offset_m=offset_m, **values)
+def review_decision(surface_id: int, action: ReviewAction, offset_m: float) -> RecordLine:
+    by: Any = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS}
+    return RecordLine(MapDecision(surface_id=surface_id, action=action, offset_m=offset_m, **by))
 
 
 def outcomes(decisions: Decisions) -> list[str]:
@@ -131,11 +132,46 @@ def test_an_incomplete_line_is_no_decision(tmp_path: Path) -> None:
     assert [each.surface_id for each in review.decisions()] == [3, 4]
 
 
-def test_a_decision_needs_an_author_and_a_reason(tmp_path: Path) -> None:
-    for missing in ("who", "why"):
-        with pytest.raises(ReleaseError, match="has an author and a reason"):
-            ReviewFolder(tmp_path).append([review_decision(3, "accept", 0.2, **{missing: " "})])
-    assert ReviewFolder(tmp_path).decisions() == []
+LINE = {"surface_id": 4, "action": "accept", "offset_m": 0.2, "who": "ann", "why": "seen", "time_ns": MADE_NS}
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"action": "bogus"}, "action is 'bogus', expected"),
+        ({"action": "roll_back", "map_version": 8}, "roll_back without surface_id"),
+        ({"offset_m": None}, "accept with offset_m"),
+        ({"offset_m": "x"}, "offset_m is 'x'"),
+        ({"offset_m": float("nan")}, "offset_m is 'nan'"),
+        ({"surface_id": [4]}, "surface_id is"),
+        ({"signature": 5, "key_id": "a"}, "signature is '5'"),
+        ({"signature": "zz", "key_id": "a"}, "signature is 'zz'"),
+        ({"key_id": "a"}, "key_id and signature, or neither"),
+        ({"withdrawn": [[4, "x"]]}, "withdrawn.0.1 is 'x'"),
+        ({"who": " "}, "who is ' ', expected printable"),
+        ({"why": "\x1b[2J"}, "expected printable characters"),
+        ({"rests_on": "00"}, "rests_on"),
+    ],
+)
+def test_a_line_that_is_no_decision_is_named_with_its_number_and_publishes_nothing(
+    tmp_path: Path, changed: dict[str, Any], named: str
+) -> None:
+    review = ReviewFolder(tmp_path)
+    review.append([review_decision(3, "accept", 0.2)])
+    with (tmp_path / "review" / "decisions.jsonl").open("a") as record:
+        record.write(json.dumps(LINE | changed) + "\n")
+    with pytest.raises(ReleaseError) as caught:
+        review.apply(decisions((4, "hold", 0.2)), MADE_NS)
+    assert "decisions.jsonl:2: " in str(caught.value)
+    assert named in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[1]", "5", "{", "", "[" * 5000])
+def test_a_line_that_is_no_object_is_named(tmp_path: Path, text: str) -> None:
+    (tmp_path / "review").mkdir()
+    (tmp_path / "review" / "decisions.jsonl").write_text(text + "\n")
+    with pytest.raises(ReleaseError, match=r"decisions\.jsonl:1: line, expected a decision in JSON"):
+        ReviewFolder(tmp_path).decisions()
 
 
 @pytest.mark.parametrize("name", ["held.json", "decisions.jsonl"])
