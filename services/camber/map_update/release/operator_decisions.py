@@ -17,9 +17,9 @@ from camber.map_update.fusion.correction_rows import Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history
 from camber.map_update.release.review import (
     HeldChange,
-    SurfaceOutcome,
     RecordLine,
     ReviewFolder,
+    SurfaceOutcome,
     is_same_change,
 )
 from camber.road_map.operator_keys import OperatorKeys
