@@ -45,7 +45,7 @@ FUNCTIONS = 24
 _COMPILED_IN_PARALLEL = frozenset(
     {
         "gnss.ambiguity.fixed_solution.estimate",
-        "gnss.position.epoch_solution._differences",
+        "gnss.position.epoch_solution.difference_epoch",
         "gnss.velocity.doppler_velocity._velocity",
     }
 )

@@ -74,10 +74,8 @@ class Ambiguities(NamedTuple):
 
 
 @compiled
-def ambiguities(
-    rows: SingleDifferences, usable: Booleans, dx_m: Floats, covariance_m2: Floats
-) -> Ambiguities:
-    """Ambiguities of the usable rows with a phase, against the most precise phase of their group."""
+def group_references(rows: SingleDifferences, usable: Booleans) -> tuple[Integers, Integers]:
+    """Usable rows with a phase (n,), and for each the most precise phase of its group, which has no row itself."""
     n = rows.phase_m.size
     best = np.full(GROUPS, -1, np.int64)
     for i in range(n):
@@ -91,7 +89,16 @@ def ambiguities(
         if usable[i] and rows.phase_m[i] == rows.phase_m[i] and best[rows.group[i]] != i:
             row[count], reference[count] = i, best[rows.group[i]]
             count += 1
-    row, reference = row[:count].copy(), reference[:count].copy()
+    return row[:count].copy(), reference[:count].copy()
+
+
+@compiled
+def ambiguities(
+    rows: SingleDifferences, usable: Booleans, dx_m: Floats, covariance_m2: Floats
+) -> Ambiguities:
+    """Ambiguities of the usable rows with a phase, against the most precise phase of their group."""
+    row, reference = group_references(rows, usable)
+    count = row.size
     value, covariance, mixed = np.empty(count), np.empty((count, count)), np.empty((3, count))
     direction, spread = np.empty((count, 3)), np.empty((count, 3))
     for a in range(count):
@@ -182,7 +189,7 @@ def _sigma_cycles(rows: SingleDifferences, row: int, reference: int, covariance_
 
 
 @compiled
-def _without_misplaced(rows: SingleDifferences, usable: Booleans, position: FloatPosition) -> Booleans:
+def without_misplaced(rows: SingleDifferences, usable: Booleans, position: FloatPosition) -> Booleans:
     """The usable rows (n,) without satellites whose code error is so large that it misplaces the satellite.
 
     A satellite's position is computed at the code's time of transmission: 1 km of code error is 3 mm of range. A
@@ -235,16 +242,42 @@ def estimate(
 ) -> Estimate:
     """Position from the usable rows (n,): float, and fixed where it passes all criteria; the prior is an offset."""
     position = float_with_prior(rows, usable, prior, criteria.code_outlier)
-    dx, covariance, integer = position.dx_m, position.covariance_m2, np.full(usable.size, np.nan)
-    status, count, fixed, ratio, success_rate, freedom = UNLIKELY, 0, 0, np.nan, np.nan, 0
     if position.freedom < 0:
-        status = NO_POSITION
-    elif not inner(position.dx_m, position.dx_m) < _FAR_M**2:
-        status = FAR
-    else:
-        kept = _without_misplaced(rows, usable, position)
-        unknown = ambiguities(rows, kept, position.dx_m, position.covariance_m2)
-        count = unknown.value.size
+        return without_integers(rows, position, NO_POSITION)
+    if not inner(position.dx_m, position.dx_m) < _FAR_M**2:
+        return without_integers(rows, position, FAR)
+    kept = without_misplaced(rows, usable, position)
+    unknown = ambiguities(rows, kept, position.dx_m, position.covariance_m2)
+    return fixed_estimate(rows, position, unknown, criteria)
+
+
+@compiled
+def without_integers(rows: SingleDifferences, position: FloatPosition, status: int) -> Estimate:
+    """The estimate of a float position alone."""
+    return Estimate(
+        status=status,
+        float_dx_m=position.dx_m,
+        float_covariance_m2=position.covariance_m2,
+        dx_m=position.dx_m,
+        covariance_m2=position.covariance_m2,
+        ambiguities=0,
+        fixed=0,
+        ratio=np.nan,
+        success_rate=np.nan,
+        phase_freedom=0,
+        integer=np.full(rows.phase_m.size, np.nan),
+        code_used=position.used,
+    )
+
+
+@compiled
+def fixed_estimate(
+    rows: SingleDifferences, position: FloatPosition, unknown: Ambiguities, criteria: FixCriteria
+) -> Estimate:
+    """Resolve the ambiguities that belong to a float position; fixed where it passes all criteria."""
+    dx, covariance, integer = position.dx_m, position.covariance_m2, np.full(rows.phase_m.size, np.nan)
+    status, fixed, ratio, success_rate, freedom = UNLIKELY, 0, np.nan, np.nan, 0
+    count = unknown.value.size
     if count >= max(criteria.least_fixed, 1):
         resolution = resolve(unknown.value, unknown.covariance, criteria)
         status, fixed = resolution.status, resolution.fixed

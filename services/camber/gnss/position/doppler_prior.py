@@ -38,6 +38,21 @@ class _LastEpoch(NamedTuple):
     velocity_covariance_m2_s2: Floats
 
 
+class Velocity(NamedTuple):
+    """Velocity of an epoch in ECEF (3,) and its covariance (3, 3)."""
+
+    ecef_m_s: Floats
+    covariance_m2_s2: Floats
+
+
+def displacement(before: Velocity, after: Velocity, elapsed_ns: int) -> tuple[Floats, Floats]:
+    """Displacement (3,) between two epochs by their velocities, and its covariance (3, 3)."""
+    dt_s = elapsed_ns / NS_PER_SECOND
+    rate = 0.5 * (before.covariance_m2_s2 + after.covariance_m2_s2) + np.eye(3) * _DRIFT_M_S**2
+    covariance = rate * dt_s * max(dt_s, _CORRELATION_S) + np.eye(3) * (_JERK_M_S3 * dt_s**3 / 12.0) ** 2
+    return 0.5 * (before.ecef_m_s + after.ecef_m_s) * dt_s, covariance
+
+
 class DopplerPrior:
     """Propagates the float position of the last epoch to the next."""
 
@@ -46,7 +61,7 @@ class DopplerPrior:
 
     def at(self, velocity: DopplerVelocity, single: SinglePoint) -> PositionPrior:
         """The prior at the epoch of `velocity`; none without a velocity in both epochs, or after a gap."""
-        last, now = self._last, _ecef(velocity, single)
+        last, now = self._last, velocity_in_ecef(velocity, single)
         if last is None or now is None:
             return NO_PRIOR
         since_ns = velocity.time_ns - last.time_ns
@@ -67,14 +82,16 @@ class DopplerPrior:
         covariance_ecef_m2: Floats,
     ) -> None:
         """Remember the float position (3,) of the epoch of `velocity`, with its covariance (3, 3)."""
-        now = _ecef(velocity, single)
+        now = velocity_in_ecef(velocity, single)
         self._last = now and _LastEpoch(velocity.time_ns, position_ecef_m, covariance_ecef_m2, *now)
 
 
-def _ecef(velocity: DopplerVelocity, single: SinglePoint) -> tuple[Floats, Floats] | None:
+def velocity_in_ecef(velocity: DopplerVelocity, single: SinglePoint) -> Velocity | None:
     """The velocity and its covariance in ECEF."""
     if velocity.status != "ok":
         return None
     latitude, longitude, _ = geodetic(single.approximate_ecef_m)
     rotation = enu_from_ecef_rotation(latitude, longitude)
-    return (rotation.T @ velocity.velocity_enu_m_s, rotation.T @ velocity.covariance_enu_m2_s2 @ rotation)
+    return Velocity(
+        rotation.T @ velocity.velocity_enu_m_s, rotation.T @ velocity.covariance_enu_m2_s2 @ rotation
+    )

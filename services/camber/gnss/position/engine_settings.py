@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -37,6 +37,10 @@ class EngineSettings(BaseModel):
     partial: bool = Field(True, description="partial ambiguity resolution where not all can be fixed")
     doppler_aided: bool = Field(
         True, description="prior of the float position: the last one, propagated by the Doppler velocity"
+    )
+    ambiguities: Literal["single_epoch", "carried"] = Field(
+        "single_epoch",
+        description="float ambiguities of each epoch alone, or carried along unbroken arcs from epoch to epoch",
     )
     ephemerides_of_satellite: int = Field(
         8, ge=2, le=1000, description="ephemerides kept per satellite; a whole day at once needs 150"

@@ -94,7 +94,7 @@ def solve_epoch(
     parameters: EngineParameters,
 ) -> EpochSolution:
     """Float and fixed position of one epoch; the prior is in ECEF."""
-    approximate, rows, near, satellites = _differences(
+    approximate, rows, near, satellites = difference_epoch(
         rover=rover,
         base=base,
         sky=sky,
@@ -109,7 +109,7 @@ def solve_epoch(
 
 
 @compiled
-def _differences(
+def difference_epoch(
     rover: SignalColumns,
     base: SignalColumns,
     sky: SatelliteView,

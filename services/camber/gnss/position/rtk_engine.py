@@ -25,7 +25,8 @@ from camber.gnss.observations.differential_age import base_use
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
 from camber.gnss.observations.signal_pairs import columns_of
-from camber.gnss.position.doppler_prior import DopplerPrior
+from camber.gnss.position.carried_solution import CarriedAmbiguities
+from camber.gnss.position.doppler_prior import DopplerPrior, velocity_in_ecef
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, solve_epoch
 from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior
@@ -33,6 +34,7 @@ from camber.gnss.position.single_point import NO_IONOSPHERE, SinglePoint, single
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity, doppler_velocity
 
 Quality = Literal["fixed", "float", "single", "none"]
+AmbiguityMode = Literal["single_epoch", "carried"]
 REASON = {
     RESOLVED: "resolved",
     RATIO_TOO_LOW: "ratio_too_low",
@@ -90,6 +92,7 @@ class Solution:
     rows: SingleDifferences | None = None
     estimate: Estimate | None = None
     prior: PositionPrior = NO_PRIOR
+    ambiguity_mode: AmbiguityMode = "single_epoch"
 
 
 class Engine:
@@ -117,6 +120,11 @@ class Engine:
         self._continuity = ContinuityTracker()
         self._last: SinglePoint | None = None
         self._prior = DopplerPrior()
+        self._carried = (
+            CarriedAmbiguities(self._parameters.noise, self._parameters.criteria)
+            if settings.ambiguities == "carried"
+            else None
+        )
 
     def add_ephemeris(self, ephemeris: BroadcastEphemeris) -> None:
         """Add a broadcast ephemeris."""
@@ -134,6 +142,8 @@ class Engine:
         """Set the base's coordinate (3,)."""
         if self.base.move_to(base_ecef_m):
             self._continuity.reset()
+            if self._carried is not None:
+                self._carried.reset()
 
     def missing_ephemerides(self) -> dict[str, MissingReason]:
         """Satellites of the rover's last epoch without an ephemeris, by name, with the reason; for health."""
@@ -177,6 +187,21 @@ class Engine:
             return _single(single, velocity, REASON[estimate.status])
         float_ecef_m = approximate + estimate.float_dx_m
         self._prior.keep(velocity, single, float_ecef_m, estimate.float_covariance_m2)
+        mode: AmbiguityMode = "single_epoch"
+        if self._carried is not None:
+            carried = self._carried.solve(
+                rows,
+                approximate,
+                rover_arcs=arcs,
+                base_arcs=self.base.arcs,
+                base_cn0_dbhz=base.cn0_dbhz,
+                velocity=velocity_in_ecef(velocity, single),
+                time_ns=rover.time_ns,
+            )
+            self.alone = estimate
+            if carried.status not in (NO_POSITION, FAR):
+                mode, estimate = "carried", carried
+                float_ecef_m = approximate + estimate.float_dx_m
         fixed = estimate.status == RESOLVED
         continuity, since_ns = (
             self._compare(rover.time_ns, rows, estimate, arcs) if fixed else ("no_evidence", None)
@@ -198,6 +223,7 @@ class Engine:
             rows=rows,
             estimate=estimate,
             prior=prior,
+            ambiguity_mode=mode,
         )
 
     def _base_use(self, time_ns: int) -> tuple[str | None, float]:

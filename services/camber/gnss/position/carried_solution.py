@@ -1,0 +1,423 @@
+"""One epoch with carried ambiguities."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from camber.compiled.decorator import compiled
+from camber.formats.observations import Floats, Integers
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
+from camber.gnss.ambiguity.carried_information import (
+    CarriedArcs,
+    Factor,
+    add_rows,
+    at_next_epoch,
+    factor,
+    no_arcs,
+    solution,
+    with_new_arcs,
+    without,
+)
+from camber.gnss.ambiguity.fixed_solution import (
+    NO_POSITION,
+    Ambiguities,
+    Estimate,
+    fixed_estimate,
+    group_references,
+    without_integers,
+    without_misplaced,
+)
+from camber.gnss.observations.differenced_observations import Noise, SingleDifferences
+from camber.gnss.observations.signal_pairs import GROUPS, Booleans, has_integers
+from camber.gnss.position.doppler_prior import Velocity, displacement
+from camber.gnss.position.float_solution import (
+    FloatPosition,
+    PositionPrior,
+    float_position,
+    inverse_3,
+)
+from camber.gnss.position.small_algebra import product
+
+_LONGEST_GAP_NS = 2_100_000_000
+_PRIOR_M = 100.0
+
+
+class CarriedParameters(NamedTuple):
+    noise: Noise
+    background_s: float = 30.0
+    white_s: float = 0.5
+    slip_threshold: float = 4.0
+    slip_power: float = 6.3
+    phase_test: bool = True
+
+
+class Motion(NamedTuple):
+    moved_m: Floats
+    information: Floats
+
+
+NO_MOTION = Motion(np.zeros(3), np.zeros((3, 3)))
+
+
+class CarriedEpoch(NamedTuple):
+    arcs: CarriedArcs
+    estimate: Estimate
+    slips: int
+    share: float
+
+
+@compiled
+def correlation_factor(elapsed_ns: int, time_constant_s: float) -> float:
+    """(1 + φ) / (1 − φ) of an error with φ = exp(−t / τ)."""
+    return 1.0 / math.tanh(0.5e-9 * elapsed_ns / time_constant_s)
+
+
+@compiled
+def _white_m2(rows: SingleDifferences, i: int, base_cn0: Floats, noise_m: float) -> float:
+    total = 0.0
+    for level in (rows.cn0_dbhz[i], base_cn0[rows.base[i]]):
+        known = level if level == level else 40.0
+        total += noise_m * noise_m * 10.0 ** ((45.0 - known) / 10.0)
+    return total
+
+
+@compiled
+def _code_slot(satellite: int) -> int:
+    return (satellite & 127) + (128 if satellite >> 8 == 74 else 0)
+
+
+@compiled
+def _columns(arcs: CarriedArcs, rows: SingleDifferences, rover_arcs: Integers, base_arcs: Integers) -> Integers:
+    column = np.full(rows.group.size, -1, np.int64)
+    for i in range(column.size):
+        one, other = rover_arcs[rows.rover[i]], base_arcs[rows.base[i]]
+        if one == 0 or other == 0 or not rows.phase_m[i] == rows.phase_m[i]:
+            continue
+        for a in range(arcs.rover_arc.size):
+            if arcs.rover_arc[a] == one and arcs.base_arc[a] == other:
+                column[i] = a
+                break
+    return column
+
+
+@compiled
+def _relative_phases(rows: SingleDifferences, arcs: CarriedArcs, column: Integers) -> Floats:
+    value = np.zeros(column.size)
+    for i in range(column.size):
+        if column[i] >= 0:
+            value[i] = rows.phase_m[i] - arcs.datum_cycles[column[i]] * rows.wavelength_m[i]
+    return value
+
+
+@compiled
+def _slipped(
+    arcs: CarriedArcs, rows: SingleDifferences, column: Integers, parameters: CarriedParameters
+) -> Booleans:
+    """Rows (k,) whose arc does not go on."""
+    k, n = column.size, arcs.vector.size - 3
+    broken = np.zeros(k, np.bool_)
+    column = column.copy()
+    value = _relative_phases(rows, arcs, column)
+    weight = np.zeros(k)
+    for i in range(k):
+        if column[i] >= 0:
+            weight[i] = 1.0 / rows.phase_variance_m2[i]
+    while True:
+        information, vector = arcs.information.copy(), arcs.vector.copy()
+        add_rows(information, vector, rows, column, value, weight)
+        for axis in range(3):
+            information[n + axis, n + axis] += 1.0 / _PRIOR_M**2
+        parts = factor(information, vector)
+        position_covariance, solvable = inverse_3(parts.position_information)
+        if not solvable:
+            for i in range(k):
+                broken[i] = broken[i] or column[i] >= 0
+            return broken
+        mean, covariance = solution(
+            parts, product(position_covariance, parts.position_vector), position_covariance
+        )
+        worst, worst_row, tested = 0.0, -1, 0
+        weakest, weakest_row = 1.0, -1
+        for g in range(GROUPS):
+            total, level = 0.0, 0.0
+            design = np.zeros(n + 3)
+            for i in range(k):
+                if weight[i] > 0.0 and rows.group[i] == g:
+                    total += weight[i]
+            if total == 0.0:
+                continue
+            for i in range(k):
+                if weight[i] > 0.0 and rows.group[i] == g:
+                    share = weight[i] / total
+                    fitted = mean[column[i]]
+                    design[column[i]] += share
+                    for axis in range(3):
+                        design[n + axis] += share * rows.direction[i, axis]
+                        fitted += rows.direction[i, axis] * mean[n + axis]
+                    level += share * (value[i] - fitted)
+            spread = product(covariance, design)
+            own = 0.0
+            for a in range(n + 3):
+                own += design[a] * spread[a]
+            for i in range(k):
+                if not (weight[i] > 0.0 and rows.group[i] == g):
+                    continue
+                c = column[i]
+                residual = value[i] - level - mean[c]
+                leverage = 1.0 / total + own + covariance[c, c] - 2.0 * spread[c]
+                for axis in range(3):
+                    along = rows.direction[i, axis]
+                    residual -= along * mean[n + axis]
+                    leverage += 2.0 * along * (covariance[c, n + axis] - spread[n + axis])
+                    for other in range(3):
+                        leverage += along * covariance[n + axis, n + other] * rows.direction[i, other]
+                redundancy = 1.0 - weight[i] * leverage
+                if redundancy > 1.0e-6:
+                    ratio = abs(residual) * math.sqrt(weight[i] / redundancy)
+                    if ratio > worst:
+                        worst, worst_row = ratio, i
+                power = rows.wavelength_m[i] * math.sqrt(weight[i] * max(redundancy, 0.0))
+                power /= parameters.slip_power
+                if power < weakest:
+                    weakest, weakest_row = power, i
+        row = worst_row if worst > parameters.slip_threshold else weakest_row
+        if row < 0:
+            return broken
+        broken[row] = True
+        weight[row], column[row] = 0.0, -1
+
+
+@compiled
+def carried_epoch(
+    arcs: CarriedArcs,
+    code_ns: Integers,
+    rows: SingleDifferences,
+    rover_arcs: Integers,
+    base_arcs: Integers,
+    base_cn0: Floats,
+    motion: Motion,
+    approximate_ecef_m: Floats,
+    time_ns: int,
+    criteria: FixCriteria,
+    parameters: CarriedParameters,
+) -> CarriedEpoch:
+    """Carry the state to this epoch and resolve the ambiguities of its rows."""
+    k = rows.group.size
+    arcs = at_next_epoch(arcs, approximate_ecef_m, motion.moved_m, motion.information, time_ns - _LONGEST_GAP_NS)
+    column = _columns(arcs, rows, rover_arcs, base_arcs)
+    broken = _slipped(arcs, rows, column, parameters)
+    gone = np.zeros(arcs.vector.size - 3, np.bool_)
+    slips = 0
+    for i in range(k):
+        if broken[i]:
+            gone[column[i]] = True
+            slips += 1
+    arcs = _renewed(arcs, rows, gone, rover_arcs, base_arcs)
+    column = _columns(arcs, rows, rover_arcs, base_arcs)
+    value = _relative_phases(rows, arcs, column)
+    n = arcs.vector.size - 3
+    weight, slow = np.zeros(k), np.zeros(k)
+    for i in range(k):
+        if column[i] >= 0:
+            variance = rows.phase_variance_m2[i]
+            weight[i] = slow[i] = 1.0 / variance
+            seen = arcs.seen_ns[column[i]]
+            if seen > 0:
+                white = _white_m2(rows, i, base_cn0, parameters.noise.phase_noise_m)
+                white = min(white, variance)
+                slow[i] = 1.0 / (
+                    white + (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
+                )
+    present, right = arcs.information.copy(), arcs.vector.copy()
+    add_rows(present, right, rows, column, value, weight)
+    parts = factor(present, right)
+    # codes
+    prior = PositionPrior(np.zeros(3), np.zeros((3, 3)))
+    before, known = inverse_3(parts.position_information)
+    if known:
+        prior = PositionPrior(product(before, parts.position_vector), parts.position_information)
+    usable = np.ones(k, np.bool_)
+    tested = float_position(rows, usable, prior, criteria.code_outlier)
+    if tested.freedom < 0:
+        return CarriedEpoch(arcs, without_integers(rows, tested, NO_POSITION), slips, 0.0)
+    scale = 1.0
+    if tested.freedom > 0:
+        scale = max(1.0, tested.chi2 / tested.freedom)
+    code, full = np.zeros(k), np.zeros(k)
+    for i in range(k):
+        if not tested.used[i]:
+            continue
+        variance = rows.code_variance_m2[i] * scale
+        full[i] = code[i] = 1.0 / variance
+        seen = code_ns[rows.group[i], _code_slot(rows.satellite[i])]
+        if 0 < seen < time_ns:
+            factor_glonass = 1.0 if has_integers(rows.group[i]) else parameters.noise.glonass_code
+            white = scale * _white_m2(rows, i, base_cn0, factor_glonass * parameters.noise.code_noise_m)
+            white = min(white, variance)
+            elapsed = time_ns - seen
+            code[i] = 1.0 / (
+                white * correlation_factor(elapsed, parameters.white_s)
+                + (variance - white) * correlation_factor(elapsed, parameters.background_s)
+            )
+        code_ns[rows.group[i], _code_slot(rows.satellite[i])] = time_ns
+    nothing = np.full(k, -1, np.int64)
+    slow_code, _ = _codes(rows, nothing, code)
+    full_code, _ = _codes(rows, nothing, full)
+    share, best = 1.0, np.inf
+    candidate, solvable = inverse_3(parts.position_information + slow_code)
+    if solvable:
+        best = np.trace(candidate)
+    for step in range(4):
+        part = step / 4.0
+        candidate, solvable = inverse_3(part * parts.position_information + (1.0 - part) * full_code)
+        if solvable and np.trace(candidate) < best:
+            best, share = np.trace(candidate), part
+    if share < 1.0:
+        arcs = CarriedArcs(
+            rover_arc=arcs.rover_arc,
+            base_arc=arcs.base_arc,
+            datum_cycles=arcs.datum_cycles,
+            seen_ns=arcs.seen_ns,
+            information=arcs.information * share,
+            vector=arcs.vector * share,
+            origin_ecef_m=arcs.origin_ecef_m,
+        )
+        code = full * (1.0 - share)
+        present, right = arcs.information.copy(), arcs.vector.copy()
+        add_rows(present, right, rows, column, value, weight)
+    add_rows(present, right, rows, nothing, rows.code_m, code)
+    parts = factor(present, right)
+    covariance3, solvable = inverse_3(parts.position_information)
+    add_rows(arcs.information, arcs.vector, rows, column, value, slow)
+    add_rows(arcs.information, arcs.vector, rows, nothing, rows.code_m, code)
+    for i in range(k):
+        if column[i] >= 0:
+            arcs.seen_ns[column[i]] = time_ns
+    if not solvable:
+        return CarriedEpoch(arcs, without_integers(rows, tested, NO_POSITION), slips, share)
+    position_m = product(covariance3, parts.position_vector)
+    mean, covariance = solution(parts, position_m, covariance3)
+    position = FloatPosition(position_m, covariance3, tested.used, tested.chi2, freedom=tested.freedom)
+    kept = without_misplaced(rows, usable, position)
+    unknown = _differences_of(rows, kept, arcs, column, mean, covariance)
+    return CarriedEpoch(arcs, fixed_estimate(rows, position, unknown, criteria), slips, share)
+
+
+@compiled
+def _codes(rows: SingleDifferences, column: Integers, weight: Floats) -> tuple[Floats, Floats]:
+    information, vector = np.zeros((3, 3)), np.zeros(3)
+    add_rows(information, vector, rows, column, rows.code_m, weight)
+    return information, vector
+
+
+@compiled
+def _renewed(
+    arcs: CarriedArcs, rows: SingleDifferences, gone: Booleans, rover_arcs: Integers, base_arcs: Integers
+) -> CarriedArcs:
+    information, vector = without(arcs.information, arcs.vector, gone)
+    kept = np.flatnonzero(~gone)
+    left = CarriedArcs(
+        rover_arc=arcs.rover_arc[kept],
+        base_arc=arcs.base_arc[kept],
+        datum_cycles=arcs.datum_cycles[kept],
+        seen_ns=arcs.seen_ns[kept],
+        information=information,
+        vector=vector,
+        origin_ecef_m=arcs.origin_ecef_m,
+    )
+    column = _columns(left, rows, rover_arcs, base_arcs)
+    new = np.zeros(column.size, np.bool_)
+    datum = np.zeros(column.size)
+    for i in range(column.size):
+        one, other = rover_arcs[rows.rover[i]], base_arcs[rows.base[i]]
+        new[i] = column[i] < 0 and one > 0 and other > 0 and rows.phase_m[i] == rows.phase_m[i]
+        if new[i]:
+            code = rows.code_m[i] if rows.code_m[i] == rows.code_m[i] else 0.0
+            datum[i] = np.rint((rows.phase_m[i] - code) / rows.wavelength_m[i])
+    rows_of_new = np.flatnonzero(new)
+    return with_new_arcs(
+        left, rover_arcs[rows.rover[rows_of_new]], base_arcs[rows.base[rows_of_new]], datum[rows_of_new]
+    )
+
+
+@compiled
+def _differences_of(
+    rows: SingleDifferences,
+    usable: Booleans,
+    arcs: CarriedArcs,
+    column: Integers,
+    mean: Floats,
+    covariance_m2: Floats,
+) -> Ambiguities:
+    """Double differences of the ambiguities of the usable rows with an arc."""
+    n = arcs.vector.size - 3
+    row, reference = group_references(rows, usable & (column >= 0))
+    count = row.size
+    value, covariance, mixed = np.empty(count), np.empty((count, count)), np.empty((3, count))
+    for a in range(count):
+        i, j = column[row[a]], column[reference[a]]
+        wavelength = rows.wavelength_m[row[a]]
+        value[a] = arcs.datum_cycles[i] - arcs.datum_cycles[j] + (mean[i] - mean[j]) / wavelength
+        for axis in range(3):
+            mixed[axis, a] = (covariance_m2[n + axis, i] - covariance_m2[n + axis, j]) / wavelength
+        for b in range(a + 1):
+            p, q = column[row[b]], column[reference[b]]
+            spread = covariance_m2[i, p] - covariance_m2[i, q] - covariance_m2[j, p] + covariance_m2[j, q]
+            covariance[a, b] = covariance[b, a] = spread / (wavelength * rows.wavelength_m[row[b]])
+    return Ambiguities(value, covariance, mixed, row=row, reference=reference)
+
+
+class CarriedAmbiguities:
+    """The state from epoch to epoch."""
+
+    def __init__(self, noise: Noise, criteria: FixCriteria) -> None:
+        self._parameters, self._criteria = CarriedParameters(noise), criteria
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._arcs = no_arcs()
+        self._code_ns = np.zeros((GROUPS, 256), np.int64)
+        self._last: Velocity | None = None
+        self._last_ns = 0
+        self.slips = 0
+        self.share = 0.0
+
+    def solve(
+        self,
+        rows: SingleDifferences,
+        approximate_ecef_m: Floats,
+        *,
+        rover_arcs: Integers,
+        base_arcs: Integers,
+        base_cn0_dbhz: Floats,
+        velocity: Velocity | None,
+        time_ns: int,
+    ) -> Estimate:
+        """Carry the state to this epoch."""
+        elapsed_ns = time_ns - self._last_ns
+        if not 0 < elapsed_ns <= _LONGEST_GAP_NS:
+            self.reset()
+        motion = NO_MOTION
+        if self._last is not None and velocity is not None:
+            moved_m, covariance_m2 = displacement(self._last, velocity, elapsed_ns)
+            motion = Motion(moved_m, inverse_3(covariance_m2)[0])
+        result = carried_epoch(
+            self._arcs,
+            self._code_ns,
+            rows,
+            rover_arcs,
+            base_arcs,
+            base_cn0_dbhz,
+            motion,
+            approximate_ecef_m,
+            time_ns,
+            self._criteria,
+            self._parameters,
+        )
+        self._arcs, self._last, self._last_ns = result.arcs, velocity, time_ns
+        self.slips, self.share = result.slips, result.share
+        return result.estimate
