@@ -34,6 +34,7 @@ Quality = Literal["fixed", "float", "dgps", "single", "ppp", "sbas", "estimated"
 Protocol = Literal["pos", "nmea", "ubx", "sbf", "rtcm", "rinex", "mixed"]
 """`mixed`: frames and sentences of several protocols, one after another."""
 Stream = Literal["rover", "base", "ephemerides"]
+AmbiguityMode = Literal["single_epoch", "carried", "unknown"]
 SubsetAgreement = Literal["agree", "disagree", "unknown"]
 SatelliteUse = Literal[
     "used",
@@ -154,6 +155,9 @@ class Fix(Message):
     ambiguity_continuity: Literal["continuous", "broken", "no_evidence"] = "no_evidence"
     continuous_since_ns: TimeNs | None = Field(
         None, description="first fix of the chain whose integers go on to this one"
+    )
+    ambiguity_mode: AmbiguityMode = Field(
+        "unknown", description="of the engine: each epoch by itself, or with ambiguities carried along unbroken arcs"
     )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
     base_station: Name | None = Field(

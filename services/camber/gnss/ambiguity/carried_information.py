@@ -42,6 +42,7 @@ class CarriedArcs(NamedTuple):
     base_arc: Integers
     datum_cycles: Floats
     seen_ns: Integers
+    held: Booleans
     information: Floats
     vector: Floats
     origin_ecef_m: Floats
@@ -67,6 +68,7 @@ def no_arcs() -> CarriedArcs:
         base_arc=none,
         datum_cycles=np.zeros(0),
         seen_ns=none,
+        held=np.zeros(0, np.bool_),
         information=np.zeros((3, 3)),
         vector=np.zeros(3),
         origin_ecef_m=np.zeros(3),
@@ -217,6 +219,7 @@ def at_next_epoch(
         base_arc=arcs.base_arc[kept],
         datum_cycles=arcs.datum_cycles[kept],
         seen_ns=arcs.seen_ns[kept],
+        held=arcs.held[kept],
         information=information,
         vector=vector,
         origin_ecef_m=origin_ecef_m,
@@ -302,6 +305,7 @@ def with_new_arcs(arcs: CarriedArcs, rover_arc: Integers, base_arc: Integers, da
         base_arc=np.concatenate((arcs.base_arc, base_arc)),
         datum_cycles=np.concatenate((arcs.datum_cycles, datum)),
         seen_ns=np.concatenate((arcs.seen_ns, np.zeros(k, np.int64))),
+        held=np.concatenate((arcs.held, np.zeros(k, np.bool_))),
         information=information,
         vector=vector,
         origin_ecef_m=arcs.origin_ecef_m,

@@ -67,6 +67,7 @@ def fix_from_solution(
         success_rate=None if fixed is None else fixed.success_rate,
         ambiguity_continuity=solution.continuity,
         continuous_since_ns=solution.continuous_since_ns,
+        ambiguity_mode=solution.ambiguity_mode,
         phase_residuals=residuals,
         base_station=base_station,
         subset_agreement=subset_agreement,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
-from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
+from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
 from camber.gnss.ambiguity.carried_information import (
     CarriedArcs,
     Factor,
@@ -22,6 +22,7 @@ from camber.gnss.ambiguity.carried_information import (
     without,
 )
 from camber.gnss.ambiguity.fixed_solution import (
+    CONTRADICTORY,
     NO_POSITION,
     Ambiguities,
     Estimate,
@@ -43,6 +44,9 @@ from camber.gnss.position.small_algebra import product
 
 _LONGEST_GAP_NS = 2_100_000_000
 _PRIOR_M = 100.0
+
+
+AmbiguityMode = Literal["single_epoch", "carried"]
 
 
 class CarriedParameters(NamedTuple):
@@ -86,7 +90,7 @@ def _white_m2(rows: SingleDifferences, i: int, base_cn0: Floats, noise_m: float)
 
 @compiled
 def _code_slot(satellite: int) -> int:
-    return (satellite & 127) + (128 if satellite >> 8 == 74 else 0)
+    return (satellite & 63) + (64 if satellite >> 8 == 74 else 0)
 
 
 @compiled
@@ -139,16 +143,17 @@ def _slipped(
         mean, covariance = solution(
             parts, product(position_covariance, parts.position_vector), position_covariance
         )
-        worst, worst_row, tested = 0.0, -1, 0
+        worst, worst_row = 0.0, -1
         weakest, weakest_row = 1.0, -1
         for g in range(GROUPS):
-            total, level = 0.0, 0.0
-            design = np.zeros(n + 3)
+            total, level, count = 0.0, 0.0, 0
             for i in range(k):
                 if weight[i] > 0.0 and rows.group[i] == g:
                     total += weight[i]
-            if total == 0.0:
+                    count += 1
+            if count < 2:
                 continue
+            design = np.zeros(n + 3)
             for i in range(k):
                 if weight[i] > 0.0 and rows.group[i] == g:
                     share = weight[i] / total
@@ -281,6 +286,7 @@ def carried_epoch(
             base_arc=arcs.base_arc,
             datum_cycles=arcs.datum_cycles,
             seen_ns=arcs.seen_ns,
+            held=arcs.held,
             information=arcs.information * share,
             vector=arcs.vector * share,
             origin_ecef_m=arcs.origin_ecef_m,
@@ -324,6 +330,7 @@ def _renewed(
         base_arc=arcs.base_arc[kept],
         datum_cycles=arcs.datum_cycles[kept],
         seen_ns=arcs.seen_ns[kept],
+        held=arcs.held[kept],
         information=information,
         vector=vector,
         origin_ecef_m=arcs.origin_ecef_m,
@@ -370,6 +377,50 @@ def _differences_of(
     return Ambiguities(value, covariance, mixed, row=row, reference=reference)
 
 
+@compiled
+def with_integers(
+    arcs: CarriedArcs, rows: SingleDifferences, integer: Floats, rover_arcs: Integers, base_arcs: Integers
+) -> CarriedArcs:
+    """The state given integers by row (k,), as observations as precise as a phase; those held already are left."""
+    column = _columns(arcs, rows, rover_arcs, base_arcs)
+    k, n = column.size, arcs.vector.size - 3
+    information, vector, held = arcs.information.copy(), arcs.vector.copy(), arcs.held.copy()
+    for g in range(GROUPS):
+        base = -1
+        for i in range(k):
+            if rows.group[i] == g and column[i] >= 0 and integer[i] == integer[i]:
+                better = base < 0 or (held[column[i]] and not held[column[base]])
+                if better:
+                    base = i
+        if base < 0:
+            continue
+        b = column[base]
+        for i in range(k):
+            a = column[i]
+            if rows.group[i] != g or a < 0 or i == base or held[a] or not integer[i] == integer[i]:
+                continue
+            cycles = integer[i] - integer[base] - arcs.datum_cycles[a] + arcs.datum_cycles[b]
+            value = cycles * rows.wavelength_m[i]
+            weight = 1.0 / (rows.phase_variance_m2[i] + rows.phase_variance_m2[base])
+            information[a, a] += weight
+            information[b, b] += weight
+            information[a, b] -= weight
+            information[b, a] -= weight
+            vector[a] += weight * value
+            vector[b] -= weight * value
+            held[a] = held[b] = True
+    return CarriedArcs(
+        rover_arc=arcs.rover_arc,
+        base_arc=arcs.base_arc,
+        datum_cycles=arcs.datum_cycles,
+        seen_ns=arcs.seen_ns,
+        held=held,
+        information=information,
+        vector=vector,
+        origin_ecef_m=arcs.origin_ecef_m,
+    )
+
+
 class CarriedAmbiguities:
     """The state from epoch to epoch."""
 
@@ -380,23 +431,28 @@ class CarriedAmbiguities:
     def reset(self) -> None:
         """Forget everything."""
         self._arcs = no_arcs()
-        self._code_ns = np.zeros((GROUPS, 256), np.int64)
+        self._held: CarriedArcs | None = None
+        self._support = 0
+        self._since_ns = 0
+        self._code_ns = np.zeros((GROUPS, 128), np.int64)
         self._last: Velocity | None = None
         self._last_ns = 0
         self.slips = 0
         self.share = 0.0
+        self.event = ""
 
     def solve(
         self,
         rows: SingleDifferences,
         approximate_ecef_m: Floats,
+        alone: Estimate,
         *,
         rover_arcs: Integers,
         base_arcs: Integers,
         base_cn0_dbhz: Floats,
         velocity: Velocity | None,
         time_ns: int,
-    ) -> Estimate:
+    ) -> tuple[AmbiguityMode, Estimate]:
         """Carry the state to this epoch."""
         elapsed_ns = time_ns - self._last_ns
         if not 0 < elapsed_ns <= _LONGEST_GAP_NS:
@@ -405,19 +461,65 @@ class CarriedAmbiguities:
         if self._last is not None and velocity is not None:
             moved_m, covariance_m2 = displacement(self._last, velocity, elapsed_ns)
             motion = Motion(moved_m, inverse_3(covariance_m2)[0])
-        result = carried_epoch(
-            self._arcs,
-            self._code_ns,
-            rows,
-            rover_arcs,
-            base_arcs,
-            base_cn0_dbhz,
-            motion,
-            approximate_ecef_m,
-            time_ns,
-            self._criteria,
-            self._parameters,
-        )
-        self._arcs, self._last, self._last_ns = result.arcs, velocity, time_ns
-        self.slips, self.share = result.slips, result.share
-        return result.estimate
+
+        def step(arcs: CarriedArcs, code_ns: Integers) -> CarriedEpoch:
+            return carried_epoch(
+                arcs,
+                code_ns,
+                rows,
+                rover_arcs,
+                base_arcs,
+                base_cn0_dbhz,
+                motion,
+                approximate_ecef_m,
+                time_ns,
+                self._criteria,
+                self._parameters,
+            )
+
+        held = None if self._held is None else step(self._held, self._code_ns.copy())
+        floats = step(self._arcs, self._code_ns)
+        self._arcs, self._last, self._last_ns = floats.arcs, velocity, time_ns
+        self.slips, self.share = floats.slips, floats.share
+        self.event = ""
+        direct: tuple[AmbiguityMode, Estimate] = ("carried", floats.estimate)
+        if floats.estimate.status == NO_POSITION:
+            direct = ("single_epoch", alone)
+        elif floats.estimate.status != RESOLVED and alone.status == RESOLVED:
+            if _agree(floats.estimate, alone.dx_m):
+                direct = ("single_epoch", alone)
+            else:
+                self.event = "alone_contradicts_floats"
+        resolved = direct[1].status == RESOLVED
+        if held is not None:
+            usable = held.estimate.status == RESOLVED
+            if usable and not _agree(floats.estimate, held.estimate.dx_m):
+                self.event = "refuted_by_floats"
+                self._held = held = None
+            elif usable and resolved and not self._same(held.estimate, direct[1]):
+                self.event = "refuted_by_integers"
+                self._held = held = None
+                return "carried", floats.estimate._replace(status=CONTRADICTORY)
+            elif usable:
+                self._support += resolved
+                self._held = with_integers(held.arcs, rows, held.estimate.integer, rover_arcs, base_arcs)
+                if self._support >= 5 and time_ns - self._since_ns > 1_000_000_000:
+                    self.event = "held"
+                    return "carried", held.estimate
+            else:
+                self._held = held.arcs
+        if resolved and (self._held is None):
+            self._held = with_integers(floats.arcs, rows, direct[1].integer, rover_arcs, base_arcs)
+            self._support, self._since_ns = 1, time_ns
+        return direct
+
+    def _same(self, one: Estimate, other: Estimate) -> bool:
+        """Whether two fixes of one epoch are at the same place."""
+        apart = one.dx_m - other.dx_m
+        return float(apart @ apart) < 0.3**2
+
+
+def _agree(floats: Estimate, dx_m: Floats) -> bool:
+    apart = dx_m - floats.float_dx_m
+    chi2 = float(apart @ np.linalg.solve(floats.float_covariance_m2, apart))
+    return chi2 < 21.1 * 2.0

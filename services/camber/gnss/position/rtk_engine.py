@@ -25,7 +25,7 @@ from camber.gnss.observations.differential_age import base_use
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
 from camber.gnss.observations.signal_pairs import columns_of
-from camber.gnss.position.carried_solution import CarriedAmbiguities
+from camber.gnss.position.carried_solution import AmbiguityMode, CarriedAmbiguities
 from camber.gnss.position.doppler_prior import DopplerPrior, velocity_in_ecef
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, solve_epoch
@@ -34,7 +34,6 @@ from camber.gnss.position.single_point import NO_IONOSPHERE, SinglePoint, single
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity, doppler_velocity
 
 Quality = Literal["fixed", "float", "single", "none"]
-AmbiguityMode = Literal["single_epoch", "carried"]
 REASON = {
     RESOLVED: "resolved",
     RATIO_TOO_LOW: "ratio_too_low",
@@ -189,19 +188,18 @@ class Engine:
         self._prior.keep(velocity, single, float_ecef_m, estimate.float_covariance_m2)
         mode: AmbiguityMode = "single_epoch"
         if self._carried is not None:
-            carried = self._carried.solve(
+            self.alone = estimate
+            mode, estimate = self._carried.solve(
                 rows,
                 approximate,
+                estimate,
                 rover_arcs=arcs,
                 base_arcs=self.base.arcs,
                 base_cn0_dbhz=base.cn0_dbhz,
                 velocity=velocity_in_ecef(velocity, single),
                 time_ns=rover.time_ns,
             )
-            self.alone = estimate
-            if carried.status not in (NO_POSITION, FAR):
-                mode, estimate = "carried", carried
-                float_ecef_m = approximate + estimate.float_dx_m
+            float_ecef_m = approximate + estimate.float_dx_m
         fixed = estimate.status == RESOLVED
         continuity, since_ns = (
             self._compare(rover.time_ns, rows, estimate, arcs) if fixed else ("no_evidence", None)

@@ -48,23 +48,34 @@ class CaptureRules:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixRun:
     """Fixes one after the other: first and last time, odds that such a fix is wrong before any test, offset from the
-    pose east and north of the last one, and their number."""
+    pose east and north of the last one, and their number. `carried`: the fix goes on with the integers of the one
+    before, as the engine has carried them (`is_same_draw`); `carried_ns` is the time that such fixes take, which is no
+    evidence: a wrong one would have gone on as well."""
 
     first_ns: int
     last_ns: int
     odds: float
     offset_m: tuple[float, float]
     fixes: int = 1
+    carried: bool = False
+    carried_ns: int = 0
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last."""
-        return (self.last_ns - self.first_ns) / 1e9
+        """From the first to the last, without the time of carried integers."""
+        return (self.last_ns - self.first_ns - self.carried_ns) / 1e9
 
     def extend(self, later: FixRun) -> FixRun:
         """With one more fix; the best odds count, for one right fix of a run makes it right."""
+        carried_ns = self.carried_ns + later.carried_ns
+        if later.carried:
+            carried_ns += later.first_ns - self.last_ns
         return replace(
-            later, first_ns=self.first_ns, odds=min(self.odds, later.odds), fixes=self.fixes + later.fixes
+            later,
+            first_ns=self.first_ns,
+            odds=min(self.odds, later.odds),
+            fixes=self.fixes + later.fixes,
+            carried_ns=carried_ns,
         )
 
 

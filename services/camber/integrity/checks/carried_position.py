@@ -31,6 +31,7 @@ from camber.integrity.checks.consistency_tests import ConsistencyLimits, consist
 from camber.integrity.checks.fix_comparison import FixComparison
 from camber.integrity.checks.pose_offset import can_move_on, offset_from_pose, pose_sigma_m, unsteady_m2
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
+from camber.integrity.protection.latent_fault import is_same_draw
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules, log_odds_of
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.gnss import Fix
@@ -197,7 +198,7 @@ class CarriedPosition:
             here = _Place(metres=(0.0, 0.0), variance_m2=self._fix_variance_m2(fix))
             if self._base is not None and self._base.fix.time_ns > self._base.confirmed_ns:
                 self._held_back_ns = self._base.confirmed_ns, fix.time_ns
-            odds = self._odds_after(fix.time_ns, odds)
+            odds = self._odds_after(fix, odds)
             self._base = _Carried(fix=fix, place=here, confirmed_ns=fix.time_ns, odds=odds)
             self._run = _Run(begun_ns=fix.time_ns, begun=here, last=fix, pose=pose)
             return
@@ -212,11 +213,13 @@ class CarriedPosition:
         if by_run.variance_m2 <= place.variance_m2 or run.begun_ns == fix.time_ns:
             self._base = replace(self._base, fix=fix, place=by_run)
 
-    def _odds_after(self, time_ns: int, odds: float) -> float:
-        """That the carried position is wrong after a fix whose own odds are these."""
+    def _odds_after(self, fix: Fix, odds: float) -> float:
+        """That the carried position is wrong after a confirmed fix whose own odds are these."""
         if self._base is None:
             return odds
-        left = math.exp(-max(time_ns - self._base.confirmed_ns, 0) / (self._wrong.episode_s * 1e9))
+        if is_same_draw(fix, self._base.confirmed_ns):
+            return self._base.odds
+        left = math.exp(-max(fix.time_ns - self._base.confirmed_ns, 0) / (self._wrong.episode_s * 1e9))
         return left * self._base.odds + (1.0 - left) * odds
 
     def _trusted(self, time_ns: int) -> _Carried | None:

@@ -14,6 +14,7 @@ from camber.integrity.checks.verification import AmbiguityHistory
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.pose_provenance import is_provisional
 from camber.integrity.protection.covariance_inflation import inflate_covariance
+from camber.integrity.protection.latent_fault import is_same_draw
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
@@ -28,6 +29,7 @@ class FixHistory:
         self.chain: ChainedFix | None = None
         self.captured = CapturedPose()
         self._start = StartCount()
+        self._last_ns: int | None = None
 
     def settle(self, judgement: FixJudgement, speed_m_s: float | None) -> None:
         """Remember what follows from a judgement that is final; `speed_m_s` of the wheels then, None: not known."""
@@ -44,11 +46,14 @@ class FixHistory:
         if judgement.confirmed and judgement.road is not None and is_precise(fix, self._rules):
             self.chain = self._chain_after(judgement, judgement.road)
         self.captured = self._captured_after(judgement)
+        self._last_ns = fix.time_ns
 
     def forget_after(self, limit_ns: int) -> None:
         """Drop what is dated later than this."""
         if self.chain is not None and self.chain.time_ns > limit_ns:
             self.chain = None
+        if self._last_ns is not None and self._last_ns > limit_ns:
+            self._last_ns = None
         if self.integers.last_ns > limit_ns:
             self.integers = AmbiguityHistory()
         runs = self.captured.support, self.captured.rival
@@ -92,7 +97,11 @@ class FixHistory:
         """A fix as a run of one, `offset_m` from the pose east and north."""
         share = self._rules.levels.wrong_fix.prior_of(fix.satellites)
         return FixRun(
-            first_ns=fix.time_ns, last_ns=fix.time_ns, odds=share / (1.0 - share), offset_m=offset_m
+            first_ns=fix.time_ns,
+            last_ns=fix.time_ns,
+            odds=share / (1.0 - share),
+            offset_m=offset_m,
+            carried=is_same_draw(fix, self._last_ns),
         )
 
     def rival_odds(self, rival: FixRun) -> float:

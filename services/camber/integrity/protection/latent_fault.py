@@ -20,6 +20,7 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules, log_odds_of_share
 from camber.integrity.scalar_or_array import larger_eigenvalue
+from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 
 _MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset of the latent fault
@@ -29,6 +30,18 @@ _LEAST_M2 = 2.0**-8
 """Chosen: variances up to it, σ 6 cm, are one class; it is what a right fix is off by."""
 _LEAST_ODDS = 1e-14
 """Chosen: a ten-millionth of an integrity risk of 1e-7; what is less likely is not kept."""
+
+
+def is_same_draw(fix: Fix, last_ns: int | None) -> bool:
+    """Are a fix's integers those of the fix at `last_ns`, carried on by the engine?
+
+    Then both are right or both are wrong: it is no further draw from the share of wrong fixes, and that it agrees with
+    the one before says nothing.
+    """
+    since_ns = fix.continuous_since_ns
+    if fix.ambiguity_mode != "carried" or fix.ambiguity_continuity != "continuous" or since_ns is None:
+        return False
+    return last_ns is not None and since_ns <= last_ns
 
 
 class LatentFaultPart(NamedTuple):
@@ -68,20 +81,29 @@ class LatentFaultHypothesis:
         """Odds of all classes together."""
         return sum(part.odds for part in self.parts)
 
-    def remaining_share(self, time_ns: int, rules: WrongFixRules) -> float:
-        """The share of it that is left at a later time: episodes of wrong fixes end."""
+    def remaining_share(self, time_ns: int, rules: WrongFixRules, *, same_draw: bool = False) -> float:
+        """The share of it that is left at a later time: episodes of wrong fixes end, but not while integers last."""
         if self.time_ns is None:
             return 0.0
+        if same_draw:
+            return 1.0
         return math.exp(-max(time_ns - self.time_ns, 0) / (rules.episode_s * 1e9))
 
     def after(
-        self, time_ns: int, odds: float, wrong: Sequence[MixtureComponent], rules: WrongFixRules
+        self,
+        time_ns: int,
+        odds: float,
+        wrong: Sequence[MixtureComponent],
+        rules: WrongFixRules,
+        *,
+        same_draw: bool = False,
     ) -> LatentFaultHypothesis:
         """After a confirmed fix: the episode may have lasted, or another have begun since the fix before.
 
-        `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong, by shares of one.
+        `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong, by shares of one. With
+        `same_draw` (`is_same_draw`) the episode has lasted, and no other has begun.
         """
-        remaining_share = self.remaining_share(time_ns, rules)
+        remaining_share = self.remaining_share(time_ns, rules, same_draw=same_draw)
         lasted = [
             LatentFaultPart(
                 remaining_share * part.odds,

@@ -23,7 +23,7 @@ from camber.integrity.judgement import FixJudgement
 from camber.integrity.pose_provenance import is_provisional, rests_on_fixes
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.doppler_position import Displacement
-from camber.integrity.protection.latent_fault import LatentFaultHypothesis
+from camber.integrity.protection.latent_fault import LatentFaultHypothesis, is_same_draw
 from camber.integrity.protection.pose_dispute import PoseDispute
 from camber.integrity.protection.position_bounds import (
     ErrorMixture,
@@ -79,7 +79,8 @@ def confirmed_fix(
         raise ValueError(f"fix {fix.fix_id} is {judgement.verdict}, not confirmed")
     covariance = inflate_covariance(fix.covariance_enu_m2, sigma)
     odds, wrong = _if_wrong(judgement, covariance, before, rules.wrong_fix)
-    remaining_share = before.remaining_share(fix.time_ns, rules.wrong_fix)
+    same_draw = is_same_draw(fix, before.time_ns)
+    remaining_share = before.remaining_share(fix.time_ns, rules.wrong_fix, same_draw=same_draw)
     pulled = remaining_share * before.odds
     total = 1.0 + odds + pulled
     latent = before.components(remaining_share / total, _NEGLIGIBLE * rules.integrity_risk)
@@ -101,7 +102,7 @@ def confirmed_fix(
         up_by_road_m=(wrong[0].mean_m[2], wrong[0].up_m2),
         fix_id=fix.fix_id,
     )
-    after = before.after(fix.time_ns, odds, wrong, rules.wrong_fix)
+    after = before.after(fix.time_ns, odds, wrong, rules.wrong_fix, same_draw=same_draw)
     return ConfirmedPosition(candidate=candidate, latent_fault=after)
 
 

@@ -137,6 +137,7 @@ def other_fix(fix: Fix, candidate: Candidate) -> Fix:
             "ratio": candidate.ratio,
             "ambiguities_fixed": candidate.ambiguities,
             "success_rate": candidate.success_rate,
+            "ambiguity_mode": "single_epoch",
             "ambiguity_continuity": "no_evidence",
             "continuous_since_ns": None,
             "phase_residuals": "unknown",

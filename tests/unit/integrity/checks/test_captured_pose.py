@@ -208,3 +208,23 @@ def test_a_clock_that_is_set_back_forgets_it():
     assert vehicle.judge.before.captured.support is not None
     vehicle.judge.forget_future(at(-10))
     assert vehicle.judge.before.captured == CapturedPose()
+
+
+# --- carried integers --------------------------------------------------------------------------------------------
+
+
+def test_how_long_carried_integers_last_is_no_evidence():
+    """A run of 60 s whose integers the engine carries counts as one fix; with one break of the chain as two."""
+    single = carried = run(0.0)
+    for second in range(1, 61):
+        single = single.extend(run(float(second)))
+        carried = carried.extend(replace(run(float(second)), carried=True))
+    assert single.duration_s == pytest.approx(60.0)
+    assert carried.duration_s == 0.0
+    assert carried.last_ns == single.last_ns
+    assert carried.fixes == single.fixes
+    broken = carried.extend(run(61.0)).extend(replace(run(62.0), carried=True))
+    assert broken.duration_s == pytest.approx(1.0)
+    state = CapturedPose(support=run(0.0, odds=0.4))
+    assert odds(state, carried) == pytest.approx(odds(state, run(0.0)))
+    assert odds(state, single) > 100.0 * odds(state, carried)

@@ -267,6 +267,17 @@ def test_odds_of_the_position_fade_with_confirmed_fixes_and_what_is_doubtful_is_
         assert (off(carried, round(epochs))[1] < 1.0) == used
 
 
+def test_with_carried_integers_the_odds_of_the_position_do_not_fade():
+    """Right or wrong, all of them are: what the first left behind is what the last does."""
+    chain = {"ambiguity_mode": "carried", "ambiguity_continuity": "continuous", "continuous_since_ns": at(0)}
+    epochs = round(WrongFixRules().episode_s * 5 * 5.0)
+    carried = carrying(range(1), odds=0.5)
+    for k in range(1, epochs):
+        carried.settle(fix(k, **chain), lost(k), SURE)
+    carried.settle(fix(epochs, north_m=2.0), lost(epochs), None)
+    assert off(carried, epochs)[1] == 3.0
+
+
 def test_it_is_carried_for_two_minutes_and_no_longer():
     carried = carrying()
     last = 2 + round(RULES.longest_s * 5)

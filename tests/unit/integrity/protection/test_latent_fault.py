@@ -11,6 +11,7 @@ from camber.integrity.protection.latent_fault import (
     LatentFaultHypothesis,
     LatentFaultPart,
     MatchCorroboration,
+    is_same_draw,
 )
 from camber.integrity.protection.position_bounds import (
     ErrorMixture,
@@ -18,7 +19,7 @@ from camber.integrity.protection.position_bounds import (
     MixtureComponent,
     bounds_of,
 )
-from support.judging import at, pose
+from support.judging import at, fix, pose
 
 LEVELS = LevelRules()
 RULES = LEVELS.wrong_fix
@@ -165,3 +166,36 @@ def test_a_match_counts_where_four_of_its_sigma_are_within_the_fault(sigma_m, od
         there = pose(k, mode="scan_match", sigma_m=sigma_m, match_time_ns=at(k))
         latent_fault = places.update(there, latent_fault)
     assert latent_fault.odds == pytest.approx(odds * before)
+
+
+def carried_fix(epoch, since, **changes):
+    fields = {"ambiguity_mode": "carried", "ambiguity_continuity": "continuous", "continuous_since_ns": at(since)}
+    return fix(epoch, **fields | changes)
+
+
+def test_only_carried_integers_that_reach_back_to_a_fix_are_the_same_draw():
+    assert is_same_draw(carried_fix(9, 3), at(8))
+    assert is_same_draw(carried_fix(9, 3), at(3))
+    assert not is_same_draw(carried_fix(9, 3), at(2))
+    assert not is_same_draw(carried_fix(9, 3), None)
+    for changes in (
+        {"ambiguity_mode": "single_epoch"},
+        {"ambiguity_mode": "unknown"},
+        {"ambiguity_continuity": "broken"},
+        {"ambiguity_continuity": "no_evidence"},
+        {"continuous_since_ns": None},
+    ):
+        assert not is_same_draw(carried_fix(9, 3, **changes), at(8))
+
+
+@exactly
+@given(st.floats(1e-9, 0.5), st.floats(1e-9, 0.5), st.integers(1, 10_000))
+def test_the_same_draw_neither_fades_nor_counts_again(first, later, epochs):
+    begun = NOTHING.after(at(1), first, [off(1.0)], RULES)
+    after = begun.after(at(1 + epochs), later, [off(1.0)], RULES, same_draw=True)
+    assert after.odds == pytest.approx(begun.odds)
+    assert after.time_ns == at(1 + epochs)
+    # A new draw would have let the first fade, and counted the second.
+    faded = math.exp(-(at(1 + epochs) - at(1)) / 1e9 / RULES.episode_s)
+    other = begun.after(at(1 + epochs), later, [off(1.0)], RULES)
+    assert other.odds == pytest.approx(faded * begun.odds + (1.0 - faded) * later, rel=1e-9)
