@@ -40,10 +40,12 @@ from camber.gnss.position.float_solution import (
     float_position,
     inverse_3,
 )
-from camber.gnss.position.small_algebra import product
+from camber.gnss.position.small_algebra import inner, product
 
 _LONGEST_GAP_NS = 2_100_000_000
 _PRIOR_M = 100.0
+_TESTABLE = 1.0e-6
+_SHARES = 4
 
 
 AmbiguityMode = Literal["single_epoch", "carried"]
@@ -116,83 +118,206 @@ def _relative_phases(rows: SingleDifferences, arcs: CarriedArcs, column: Integer
     return value
 
 
+class _PhaseRows(NamedTuple):
+    """Phases of one epoch whose arcs go on (k,): the ambiguity's column, −1 for none, phase less datum, weight."""
+
+    group: Integers
+    column: Integers
+    value_m: Floats
+    weight: Floats
+    wavelength_m: Floats
+    direction: Floats
+
+
 @compiled
 def _slipped(
     arcs: CarriedArcs, rows: SingleDifferences, column: Integers, parameters: CarriedParameters
 ) -> Booleans:
-    """Rows (k,) whose arc does not go on."""
-    k, n = column.size, arcs.vector.size - 3
-    broken = np.zeros(k, np.bool_)
-    column = column.copy()
-    value = _relative_phases(rows, arcs, column)
-    weight = np.zeros(k)
-    for i in range(k):
+    """Rows (k,) whose arc does not go on: the phase contradicts the others, or a slip of a cycle would not be seen."""
+    weight = np.zeros(column.size)
+    for i in range(column.size):
         if column[i] >= 0:
             weight[i] = 1.0 / rows.phase_variance_m2[i]
-    while True:
-        information, vector = arcs.information.copy(), arcs.vector.copy()
-        add_rows(information, vector, rows, column, value, weight)
-        for axis in range(3):
-            information[n + axis, n + axis] += 1.0 / _PRIOR_M**2
-        parts = factor(information, vector)
-        position_covariance, solvable = inverse_3(parts.position_information)
-        if not solvable:
-            for i in range(k):
-                broken[i] = broken[i] or column[i] >= 0
-            return broken
-        mean, covariance = solution(
-            parts, product(position_covariance, parts.position_vector), position_covariance
-        )
-        worst, worst_row = 0.0, -1
-        weakest, weakest_row = 1.0, -1
-        for g in range(GROUPS):
-            total, level, count = 0.0, 0.0, 0
-            for i in range(k):
-                if weight[i] > 0.0 and rows.group[i] == g:
-                    total += weight[i]
-                    count += 1
-            if count < 2:
-                continue
-            design = np.zeros(n + 3)
-            for i in range(k):
-                if weight[i] > 0.0 and rows.group[i] == g:
-                    share = weight[i] / total
-                    fitted = mean[column[i]]
-                    design[column[i]] += share
-                    for axis in range(3):
-                        design[n + axis] += share * rows.direction[i, axis]
-                        fitted += rows.direction[i, axis] * mean[n + axis]
-                    level += share * (value[i] - fitted)
-            spread = product(covariance, design)
-            own = 0.0
-            for a in range(n + 3):
-                own += design[a] * spread[a]
-            for i in range(k):
-                if not (weight[i] > 0.0 and rows.group[i] == g):
-                    continue
-                c = column[i]
-                residual = value[i] - level - mean[c]
-                leverage = 1.0 / total + own + covariance[c, c] - 2.0 * spread[c]
-                for axis in range(3):
-                    along = rows.direction[i, axis]
-                    residual -= along * mean[n + axis]
-                    leverage += 2.0 * along * (covariance[c, n + axis] - spread[n + axis])
-                    for other in range(3):
-                        leverage += along * covariance[n + axis, n + other] * rows.direction[i, other]
-                redundancy = 1.0 - weight[i] * leverage
-                if redundancy > 1.0e-6:
-                    ratio = abs(residual) * math.sqrt(weight[i] / redundancy)
-                    if ratio > worst:
-                        worst, worst_row = ratio, i
-                power = rows.wavelength_m[i] * math.sqrt(weight[i] * max(redundancy, 0.0))
-                power /= parameters.slip_power
-                if power < weakest:
-                    weakest, weakest_row = power, i
-        row = worst_row if worst > parameters.slip_threshold else weakest_row
+    phases = _PhaseRows(
+        rows.group, column.copy(), _relative_phases(rows, arcs, column), weight, rows.wavelength_m, rows.direction
+    )
+    broken = np.zeros(column.size, np.bool_)
+    for _ in range(column.size):
+        row = _next_slip(arcs.information, arcs.vector, rows, phases, parameters)
         if row < 0:
-            return broken
+            break
         broken[row] = True
-        weight[row], column[row] = 0.0, -1
+        phases.weight[row], phases.column[row] = 0.0, -1
+    return broken
+
+
+@compiled
+def _next_slip(
+    information: Floats,
+    vector: Floats,
+    rows: SingleDifferences,
+    phases: _PhaseRows,
+    parameters: CarriedParameters,
+) -> int:
+    """The row with the largest normalised residual, if too large, else the one that is tested least, if too little."""
+    n = vector.size - 3
+    information, vector = information.copy(), vector.copy()
+    add_rows(information, vector, rows, phases.column, phases.value_m, phases.weight)
+    for axis in range(3):
+        information[n + axis, n + axis] += 1.0 / _PRIOR_M**2
+    parts = factor(information, vector)
+    position_covariance, solvable = inverse_3(parts.position_information)
+    if not solvable:
+        return int(np.argmax(phases.column)) if phases.column.max() >= 0 else -1
+    position_m = product(position_covariance, parts.position_vector)
+    mean, covariance = solution(parts, position_m, position_covariance)
+    misfit, redundancy = _normalised_residuals(phases, mean, covariance)
+    worst, weakest, worst_row, weakest_row = parameters.slip_threshold, parameters.slip_power, -1, -1
+    for i in range(misfit.size):
+        if not redundancy[i] >= 0.0:
+            continue
+        if misfit[i] > worst:
+            worst, worst_row = misfit[i], i
+        power = phases.wavelength_m[i] * math.sqrt(phases.weight[i] * redundancy[i])
+        if power < weakest:
+            weakest, weakest_row = power, i
+    return worst_row if worst_row >= 0 else weakest_row
+
+
+@compiled
+def _normalised_residuals(phases: _PhaseRows, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """Residual over its σ and redundancy (k,), NaN for rows without weight and for one alone in its group."""
+    k = phases.column.size
+    misfit, redundancy = np.full(k, np.nan), np.full(k, np.nan)
+    for g in range(GROUPS):
+        total, count = 0.0, 0
+        for i in range(k):
+            if phases.weight[i] > 0.0 and phases.group[i] == g:
+                total += phases.weight[i]
+                count += 1
+        if count >= 2:
+            _test_group(phases, mean, covariance, g, total, misfit, redundancy)
+    return misfit, redundancy
+
+
+@compiled
+def _test_group(
+    phases: _PhaseRows,
+    mean: Floats,
+    covariance: Floats,
+    g: int,
+    total: float,
+    misfit: Floats,
+    redundancy: Floats,
+) -> None:
+    """Write residuals and redundancies of one group, whose clock is the weighted mean."""
+    size = mean.size
+    n, k = size - 3, phases.column.size
+    design, level = np.zeros(size), 0.0
+    for i in range(k):
+        if phases.weight[i] > 0.0 and phases.group[i] == g:
+            share, fitted = phases.weight[i] / total, mean[phases.column[i]]
+            design[phases.column[i]] += share
+            for axis in range(3):
+                design[n + axis] += share * phases.direction[i, axis]
+                fitted += phases.direction[i, axis] * mean[n + axis]
+            level += share * (phases.value_m[i] - fitted)
+    spread = product(covariance, design)
+    common = 1.0 / total + inner(design, spread)
+    for i in range(k):
+        if not (phases.weight[i] > 0.0 and phases.group[i] == g):
+            continue
+        c = phases.column[i]
+        residual = phases.value_m[i] - level - mean[c]
+        leverage = common + covariance[c, c] - 2.0 * spread[c]
+        for axis in range(3):
+            along = phases.direction[i, axis]
+            residual -= along * mean[n + axis]
+            leverage += 2.0 * along * (covariance[c, n + axis] - spread[n + axis])
+            for other in range(3):
+                leverage += along * covariance[n + axis, n + other] * phases.direction[i, other]
+        redundancy[i] = max(1.0 - phases.weight[i] * leverage, 0.0)
+        if redundancy[i] > _TESTABLE:
+            misfit[i] = abs(residual) * math.sqrt(phases.weight[i] / redundancy[i])
+
+
+@compiled
+def _phase_weights(
+    arcs: CarriedArcs,
+    rows: SingleDifferences,
+    column: Integers,
+    base_cn0: Floats,
+    time_ns: int,
+    parameters: CarriedParameters,
+) -> tuple[Floats, Floats]:
+    """Weights (k,) of the phases at this epoch, and of what they add to the state."""
+    weight, slow = np.zeros(column.size), np.zeros(column.size)
+    for i in range(column.size):
+        if column[i] < 0:
+            continue
+        variance, seen = rows.phase_variance_m2[i], arcs.seen_ns[column[i]]
+        weight[i] = slow[i] = 1.0 / variance
+        if 0 < seen < time_ns:
+            white = min(_white_m2(rows, i, base_cn0, parameters.noise.phase_noise_m), variance)
+            correlated = (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
+            slow[i] = 1.0 / (white + correlated)
+    return weight, slow
+
+
+@compiled
+def _code_weights(
+    code_ns: Integers,
+    rows: SingleDifferences,
+    tested: FloatPosition,
+    base_cn0: Floats,
+    time_ns: int,
+    parameters: CarriedParameters,
+) -> tuple[Floats, Floats]:
+    """Weights (k,) of the codes by themselves, and after those of the same satellites before; `code_ns` is written."""
+    k = rows.group.size
+    full, slow = np.zeros(k), np.zeros(k)
+    scale = max(1.0, tested.chi2 / tested.freedom) if tested.freedom > 0 else 1.0
+    for i in range(k):
+        if not tested.used[i]:
+            continue
+        variance, slot = rows.code_variance_m2[i] * scale, _code_slot(rows.satellite[i])
+        full[i] = slow[i] = 1.0 / variance
+        seen = code_ns[rows.group[i], slot]
+        if 0 < seen < time_ns:
+            glonass = 1.0 if has_integers(rows.group[i]) else parameters.noise.glonass_code
+            white = scale * _white_m2(rows, i, base_cn0, glonass * parameters.noise.code_noise_m)
+            white = min(white, variance)
+            slow[i] = 1.0 / (
+                white * correlation_factor(time_ns - seen, parameters.white_s)
+                + (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
+            )
+        code_ns[rows.group[i], slot] = time_ns
+    return full, slow
+
+
+@compiled
+def _intersection_share(before: Floats, slow_code: Floats, full_code: Floats) -> float:
+    """Share of the carried information; 1: with the codes by their slow weights, else a covariance intersection."""
+    share, best = 1.0, np.inf
+    covariance, solvable = inverse_3(before + slow_code)
+    if solvable:
+        best = np.trace(covariance)
+    for step in range(_SHARES):
+        part = step / _SHARES
+        covariance, solvable = inverse_3(part * before + (1.0 - part) * full_code)
+        if solvable and np.trace(covariance) < best:
+            best, share = np.trace(covariance), part
+    return share
+
+
+@compiled
+def _tested_codes(rows: SingleDifferences, parts: Factor, outlier_threshold: float) -> FloatPosition:
+    """The codes without outliers, tested with what the carried state and the phases know of the position."""
+    prior = PositionPrior(np.zeros(3), np.zeros((3, 3)))
+    covariance, known = inverse_3(parts.position_information)
+    if known:
+        prior = PositionPrior(product(covariance, parts.position_vector), parts.position_information)
+    return float_position(rows, np.ones(rows.group.size, np.bool_), prior, outlier_threshold)
 
 
 @compiled
@@ -210,119 +335,80 @@ def carried_epoch(
     parameters: CarriedParameters,
 ) -> CarriedEpoch:
     """Carry the state to this epoch and resolve the ambiguities of its rows."""
-    k = rows.group.size
-    arcs = at_next_epoch(arcs, approximate_ecef_m, motion.moved_m, motion.information, time_ns - _LONGEST_GAP_NS)
-    column = _columns(arcs, rows, rover_arcs, base_arcs)
-    broken = _slipped(arcs, rows, column, parameters)
-    gone = np.zeros(arcs.vector.size - 3, np.bool_)
-    slips = 0
-    for i in range(k):
-        if broken[i]:
-            gone[column[i]] = True
-            slips += 1
-    arcs = _renewed(arcs, rows, gone, rover_arcs, base_arcs)
-    column = _columns(arcs, rows, rover_arcs, base_arcs)
-    value = _relative_phases(rows, arcs, column)
-    n = arcs.vector.size - 3
-    weight, slow = np.zeros(k), np.zeros(k)
-    for i in range(k):
-        if column[i] >= 0:
-            variance = rows.phase_variance_m2[i]
-            weight[i] = slow[i] = 1.0 / variance
-            seen = arcs.seen_ns[column[i]]
-            if seen > 0:
-                white = _white_m2(rows, i, base_cn0, parameters.noise.phase_noise_m)
-                white = min(white, variance)
-                slow[i] = 1.0 / (
-                    white + (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
-                )
-    present, right = arcs.information.copy(), arcs.vector.copy()
+    predicted = at_next_epoch(
+        arcs, approximate_ecef_m, motion.moved_m, motion.information, time_ns - _LONGEST_GAP_NS
+    )
+    broken = _slipped(predicted, rows, _columns(predicted, rows, rover_arcs, base_arcs), parameters)
+    state = _renewed(predicted, rows, broken, rover_arcs, base_arcs)
+    column, nothing = _columns(state, rows, rover_arcs, base_arcs), np.full(broken.size, -1, np.int64)
+    value = _relative_phases(rows, state, column)
+    weight, slow = _phase_weights(state, rows, column, base_cn0, time_ns, parameters)
+    present, right = state.information.copy(), state.vector.copy()
     add_rows(present, right, rows, column, value, weight)
     parts = factor(present, right)
-    # codes
-    prior = PositionPrior(np.zeros(3), np.zeros((3, 3)))
-    before, known = inverse_3(parts.position_information)
-    if known:
-        prior = PositionPrior(product(before, parts.position_vector), parts.position_information)
-    usable = np.ones(k, np.bool_)
-    tested = float_position(rows, usable, prior, criteria.code_outlier)
+    tested = _tested_codes(rows, parts, criteria.code_outlier)
+    slips = int(broken.sum())
     if tested.freedom < 0:
-        return CarriedEpoch(arcs, without_integers(rows, tested, NO_POSITION), slips, 0.0)
-    scale = 1.0
-    if tested.freedom > 0:
-        scale = max(1.0, tested.chi2 / tested.freedom)
-    code, full = np.zeros(k), np.zeros(k)
-    for i in range(k):
-        if not tested.used[i]:
-            continue
-        variance = rows.code_variance_m2[i] * scale
-        full[i] = code[i] = 1.0 / variance
-        seen = code_ns[rows.group[i], _code_slot(rows.satellite[i])]
-        if 0 < seen < time_ns:
-            factor_glonass = 1.0 if has_integers(rows.group[i]) else parameters.noise.glonass_code
-            white = scale * _white_m2(rows, i, base_cn0, factor_glonass * parameters.noise.code_noise_m)
-            white = min(white, variance)
-            elapsed = time_ns - seen
-            code[i] = 1.0 / (
-                white * correlation_factor(elapsed, parameters.white_s)
-                + (variance - white) * correlation_factor(elapsed, parameters.background_s)
-            )
-        code_ns[rows.group[i], _code_slot(rows.satellite[i])] = time_ns
-    nothing = np.full(k, -1, np.int64)
-    slow_code, _ = _codes(rows, nothing, code)
-    full_code, _ = _codes(rows, nothing, full)
-    share, best = 1.0, np.inf
-    candidate, solvable = inverse_3(parts.position_information + slow_code)
-    if solvable:
-        best = np.trace(candidate)
-    for step in range(4):
-        part = step / 4.0
-        candidate, solvable = inverse_3(part * parts.position_information + (1.0 - part) * full_code)
-        if solvable and np.trace(candidate) < best:
-            best, share = np.trace(candidate), part
+        return CarriedEpoch(state, without_integers(rows, tested, NO_POSITION), slips, 0.0)
+    full, code = _code_weights(code_ns, rows, tested, base_cn0, time_ns, parameters)
+    share = _intersection_share(parts.position_information, _codes(rows, code), _codes(rows, full))
     if share < 1.0:
-        arcs = CarriedArcs(
-            rover_arc=arcs.rover_arc,
-            base_arc=arcs.base_arc,
-            datum_cycles=arcs.datum_cycles,
-            seen_ns=arcs.seen_ns,
-            held=arcs.held,
-            information=arcs.information * share,
-            vector=arcs.vector * share,
-            origin_ecef_m=arcs.origin_ecef_m,
-        )
+        state.information[:] *= share
+        state.vector[:] *= share
         code = full * (1.0 - share)
-        present, right = arcs.information.copy(), arcs.vector.copy()
+        present, right = state.information.copy(), state.vector.copy()
         add_rows(present, right, rows, column, value, weight)
-    add_rows(present, right, rows, nothing, rows.code_m, code)
-    parts = factor(present, right)
-    covariance3, solvable = inverse_3(parts.position_information)
-    add_rows(arcs.information, arcs.vector, rows, column, value, slow)
-    add_rows(arcs.information, arcs.vector, rows, nothing, rows.code_m, code)
-    for i in range(k):
+    for i in range(column.size):
         if column[i] >= 0:
-            arcs.seen_ns[column[i]] = time_ns
-    if not solvable:
-        return CarriedEpoch(arcs, without_integers(rows, tested, NO_POSITION), slips, share)
-    position_m = product(covariance3, parts.position_vector)
-    mean, covariance = solution(parts, position_m, covariance3)
-    position = FloatPosition(position_m, covariance3, tested.used, tested.chi2, freedom=tested.freedom)
-    kept = without_misplaced(rows, usable, position)
-    unknown = _differences_of(rows, kept, arcs, column, mean, covariance)
-    return CarriedEpoch(arcs, fixed_estimate(rows, position, unknown, criteria), slips, share)
+            state.seen_ns[column[i]] = time_ns
+    add_rows(present, right, rows, nothing, rows.code_m, code)
+    add_rows(state.information, state.vector, rows, column, value, slow)
+    add_rows(state.information, state.vector, rows, nothing, rows.code_m, code)
+    estimate = _resolved(state, rows, column, present, right, tested, criteria)
+    return CarriedEpoch(state, estimate, slips, share)
 
 
 @compiled
-def _codes(rows: SingleDifferences, column: Integers, weight: Floats) -> tuple[Floats, Floats]:
+def _resolved(
+    arcs: CarriedArcs,
+    rows: SingleDifferences,
+    column: Integers,
+    information: Floats,
+    vector: Floats,
+    tested: FloatPosition,
+    criteria: FixCriteria,
+) -> Estimate:
+    """Float position and ambiguities of an epoch, and the integers."""
+    parts = factor(information, vector)
+    position_covariance, solvable = inverse_3(parts.position_information)
+    if not solvable:
+        return without_integers(rows, tested, NO_POSITION)
+    position_m = product(position_covariance, parts.position_vector)
+    mean, covariance = solution(parts, position_m, position_covariance)
+    position = FloatPosition(position_m, position_covariance, tested.used, tested.chi2, freedom=tested.freedom)
+    kept = without_misplaced(rows, np.ones(column.size, np.bool_), position)
+    unknown = _differences_of(rows, kept, arcs, column, mean, covariance)
+    return fixed_estimate(rows, position, unknown, criteria)
+
+
+@compiled
+def _codes(rows: SingleDifferences, weight: Floats) -> Floats:
+    """Information of codes about the position (3, 3)."""
     information, vector = np.zeros((3, 3)), np.zeros(3)
-    add_rows(information, vector, rows, column, rows.code_m, weight)
-    return information, vector
+    add_rows(information, vector, rows, np.full(weight.size, -1, np.int64), rows.code_m, weight)
+    return information
 
 
 @compiled
 def _renewed(
-    arcs: CarriedArcs, rows: SingleDifferences, gone: Booleans, rover_arcs: Integers, base_arcs: Integers
+    arcs: CarriedArcs, rows: SingleDifferences, broken: Booleans, rover_arcs: Integers, base_arcs: Integers
 ) -> CarriedArcs:
+    """The state without the arcs of the broken rows (k,), and with new ones for them and for rows without one."""
+    before = _columns(arcs, rows, rover_arcs, base_arcs)
+    gone = np.zeros(arcs.rover_arc.size, np.bool_)
+    for i in range(broken.size):
+        if broken[i]:
+            gone[before[i]] = True
     information, vector = without(arcs.information, arcs.vector, gone)
     kept = np.flatnonzero(~gone)
     left = CarriedArcs(
