@@ -1,28 +1,42 @@
-"""One epoch with carried ambiguities."""
+"""One epoch with carried ambiguities: float position and integers from the state and the epoch's rows.
+
+An arc goes on where its phase agrees with the others and a slip of one cycle would have been seen: both by the
+normalised residual (Baarda 1968) of the phase against the carried state, the displacement by Doppler and the other
+phases. Else it begins anew.
+
+**Errors that last.** Reflections do not change between epochs at 10 Hz, so that a hundred codes are not a hundred
+observations. An error with the correlation φ = exp(−t / τ) from one epoch to the next leaves of each further
+observation of a constant the share (1 − φ) / (1 + φ) of the first one's information: whitened, y_k − φ y_{k−1} has the
+variance (1 − φ²) σ² and contains (1 − φ) of the constant. So the first observation of a signal counts in full and the
+others by that share, for the background of the error model (reflections) with a τ of its own and for the noise of the
+tracking loop with another. The phases of the present epoch count in full for its position, and by their share for the
+state.
+
+**Codes of a state that has lost most of its arcs** are correlated with what is left of it to an unknown degree. Both
+are joined by covariance intersection (Julier and Uhlmann 1997) where that gives the smaller covariance.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
-from camber.gnss.ambiguity.ambiguity_resolution import RESOLVED, FixCriteria
+from camber.gnss.ambiguity.ambiguity_resolution import FixCriteria
 from camber.gnss.ambiguity.carried_information import (
     CarriedArcs,
     Factor,
     add_rows,
     at_next_epoch,
     factor,
-    no_arcs,
     solution,
     with_new_arcs,
     without,
 )
 from camber.gnss.ambiguity.fixed_solution import (
-    CONTRADICTORY,
     NO_POSITION,
     Ambiguities,
     Estimate,
@@ -33,7 +47,6 @@ from camber.gnss.ambiguity.fixed_solution import (
 )
 from camber.gnss.observations.differenced_observations import Noise, SingleDifferences
 from camber.gnss.observations.signal_pairs import GROUPS, Booleans, has_integers
-from camber.gnss.position.doppler_prior import Velocity, displacement
 from camber.gnss.position.float_solution import (
     FloatPosition,
     PositionPrior,
@@ -42,25 +55,34 @@ from camber.gnss.position.float_solution import (
 )
 from camber.gnss.position.small_algebra import inner, product
 
-_LONGEST_GAP_NS = 2_100_000_000
-_PRIOR_M = 100.0
-_TESTABLE = 1.0e-6
-_SHARES = 4
-
-
-AmbiguityMode = Literal["single_epoch", "carried"]
+LONGEST_GAP_NS = 2_100_000_000
+"""As that of `CycleSlipDetector`; an arc that was not seen for so long is at its end."""
+_PRIOR_M = 100.0  # derived: without codes the position is within the range of the linearisation
+_TESTABLE = 1.0e-6  # least redundancy; chosen: below it nothing else measures the same
+_SHARES = 4  # weights tried in the covariance intersection; chosen: steps of a quarter
 
 
 class CarriedParameters(NamedTuple):
+    """Error model and tests of the carried state.
+
+    `background_s`: correlation time of reflections. Derived: h = 2 m above the ground, a reflection's detour 2 h sin el
+    changes by 4 m · cos el · 0.1 mrad/s, a wavelength in 500 s, so that its phase is correlated over 500 s / 2 π, 80 s;
+    from walls in 20 m as far as a car drives, tenths of a second. Chosen between. `noise_s`: of the code's tracking
+    loop, 1 / (4 B) for a bandwidth B of 0.5 Hz. `slip_threshold`: normalised residual of a slip; chosen: 6 in 100,000
+    right ones exceed it. `slip_power`: a slip of one cycle is so many σ, or the arc begins anew; chosen: the threshold
+    and 2.3 σ, of 100 slips 99 exceed it.
+    """
+
     noise: Noise
     background_s: float = 30.0
-    white_s: float = 0.5
+    noise_s: float = 0.5
     slip_threshold: float = 4.0
     slip_power: float = 6.3
-    phase_test: bool = True
 
 
 class Motion(NamedTuple):
+    """Displacement (3,) since the last epoch in ECEF, and its information (3, 3); zeros: not known."""
+
     moved_m: Floats
     information: Floats
 
@@ -68,11 +90,23 @@ class Motion(NamedTuple):
 NO_MOTION = Motion(np.zeros(3), np.zeros((3, 3)))
 
 
+class EpochRows(NamedTuple):
+    """Rows of one epoch (k,), their arcs at rover and base, 0 for none, C/N0 at the base; the linearisation point."""
+
+    rows: SingleDifferences
+    rover_arc: Integers
+    base_arc: Integers
+    base_cn0_dbhz: Floats
+    time_ns: int
+    approximate_ecef_m: Floats
+
+
 class CarriedEpoch(NamedTuple):
+    """The state after an epoch, its estimate, and the number of arcs that did not go on."""
+
     arcs: CarriedArcs
     estimate: Estimate
-    slips: int
-    share: float
+    broken: int
 
 
 @compiled
@@ -82,25 +116,28 @@ def correlation_factor(elapsed_ns: int, time_constant_s: float) -> float:
 
 
 @compiled
-def _white_m2(rows: SingleDifferences, i: int, base_cn0: Floats, noise_m: float) -> float:
+def _noise_m2(epoch: EpochRows, i: int, noise_m: float) -> float:
+    """Variance of the receivers' noise, without background; as in `variance_m2`."""
     total = 0.0
-    for level in (rows.cn0_dbhz[i], base_cn0[rows.base[i]]):
+    for level in (epoch.rows.cn0_dbhz[i], epoch.base_cn0_dbhz[i]):
         known = level if level == level else 40.0
         total += noise_m * noise_m * 10.0 ** ((45.0 - known) / 10.0)
-    return total
+    return float(total)
 
 
 @compiled
 def _code_slot(satellite: int) -> int:
+    """A satellite's place among those of its group, which QZSS shares with GPS."""
     return (satellite & 63) + (64 if satellite >> 8 == 74 else 0)
 
 
 @compiled
-def _columns(arcs: CarriedArcs, rows: SingleDifferences, rover_arcs: Integers, base_arcs: Integers) -> Integers:
-    column = np.full(rows.group.size, -1, np.int64)
+def columns_of_rows(arcs: CarriedArcs, epoch: EpochRows) -> Integers:
+    """The ambiguity of each row (k,) in the state; −1: none."""
+    column = np.full(epoch.rover_arc.size, -1, np.int64)
     for i in range(column.size):
-        one, other = rover_arcs[rows.rover[i]], base_arcs[rows.base[i]]
-        if one == 0 or other == 0 or not rows.phase_m[i] == rows.phase_m[i]:
+        one, other = epoch.rover_arc[i], epoch.base_arc[i]
+        if one == 0 or other == 0 or np.isnan(epoch.rows.phase_m[i]):
             continue
         for a in range(arcs.rover_arc.size):
             if arcs.rover_arc[a] == one and arcs.base_arc[a] == other:
@@ -111,6 +148,7 @@ def _columns(arcs: CarriedArcs, rows: SingleDifferences, rover_arcs: Integers, b
 
 @compiled
 def _relative_phases(rows: SingleDifferences, arcs: CarriedArcs, column: Integers) -> Floats:
+    """Phases (k,) less the datum of their ambiguity."""
     value = np.zeros(column.size)
     for i in range(column.size):
         if column[i] >= 0:
@@ -139,11 +177,16 @@ def _slipped(
         if column[i] >= 0:
             weight[i] = 1.0 / rows.phase_variance_m2[i]
     phases = _PhaseRows(
-        rows.group, column.copy(), _relative_phases(rows, arcs, column), weight, rows.wavelength_m, rows.direction
+        group=rows.group,
+        column=column.copy(),
+        value_m=_relative_phases(rows, arcs, column),
+        weight=weight,
+        wavelength_m=rows.wavelength_m,
+        direction=rows.direction,
     )
     broken = np.zeros(column.size, np.bool_)
     for _ in range(column.size):
-        row = _next_slip(arcs.information, arcs.vector, rows, phases, parameters)
+        row = _next_slip(arcs, rows, phases, parameters)
         if row < 0:
             break
         broken[row] = True
@@ -153,16 +196,12 @@ def _slipped(
 
 @compiled
 def _next_slip(
-    information: Floats,
-    vector: Floats,
-    rows: SingleDifferences,
-    phases: _PhaseRows,
-    parameters: CarriedParameters,
+    arcs: CarriedArcs, rows: SingleDifferences, phases: _PhaseRows, parameters: CarriedParameters
 ) -> int:
     """The row with the largest normalised residual, if too large, else the one that is tested least, if too little."""
-    n = vector.size - 3
-    information, vector = information.copy(), vector.copy()
-    add_rows(information, vector, rows, phases.column, phases.value_m, phases.weight)
+    n = arcs.vector.size - 3
+    information, vector = arcs.information.copy(), arcs.vector.copy()
+    add_rows(information, vector, rows, phases.column, value_m=phases.value_m, weight=phases.weight)
     for axis in range(3):
         information[n + axis, n + axis] += 1.0 / _PRIOR_M**2
     parts = factor(information, vector)
@@ -196,7 +235,7 @@ def _normalised_residuals(phases: _PhaseRows, mean: Floats, covariance: Floats) 
                 total += phases.weight[i]
                 count += 1
         if count >= 2:
-            _test_group(phases, mean, covariance, g, total, misfit, redundancy)
+            _test_group(phases, mean, covariance, g, total=total, misfit=misfit, redundancy=redundancy)
     return misfit, redundancy
 
 
@@ -243,38 +282,28 @@ def _test_group(
 
 @compiled
 def _phase_weights(
-    arcs: CarriedArcs,
-    rows: SingleDifferences,
-    column: Integers,
-    base_cn0: Floats,
-    time_ns: int,
-    parameters: CarriedParameters,
+    arcs: CarriedArcs, epoch: EpochRows, column: Integers, parameters: CarriedParameters
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of the phases at this epoch, and of what they add to the state."""
     weight, slow = np.zeros(column.size), np.zeros(column.size)
     for i in range(column.size):
         if column[i] < 0:
             continue
-        variance, seen = rows.phase_variance_m2[i], arcs.seen_ns[column[i]]
+        variance, seen = epoch.rows.phase_variance_m2[i], arcs.seen_ns[column[i]]
         weight[i] = slow[i] = 1.0 / variance
-        if 0 < seen < time_ns:
-            white = min(_white_m2(rows, i, base_cn0, parameters.noise.phase_noise_m), variance)
-            correlated = (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
-            slow[i] = 1.0 / (white + correlated)
+        if 0 < seen < epoch.time_ns:
+            noise = min(_noise_m2(epoch, i, parameters.noise.phase_noise_m), variance)
+            lasting = correlation_factor(epoch.time_ns - seen, parameters.background_s)
+            slow[i] = 1.0 / (noise + (variance - noise) * lasting)
     return weight, slow
 
 
 @compiled
 def _code_weights(
-    code_ns: Integers,
-    rows: SingleDifferences,
-    tested: FloatPosition,
-    base_cn0: Floats,
-    time_ns: int,
-    parameters: CarriedParameters,
+    code_ns: Integers, epoch: EpochRows, tested: FloatPosition, parameters: CarriedParameters
 ) -> tuple[Floats, Floats]:
     """Weights (k,) of the codes by themselves, and after those of the same satellites before; `code_ns` is written."""
-    k = rows.group.size
+    rows, time_ns, k = epoch.rows, epoch.time_ns, epoch.rover_arc.size
     full, slow = np.zeros(k), np.zeros(k)
     scale = max(1.0, tested.chi2 / tested.freedom) if tested.freedom > 0 else 1.0
     for i in range(k):
@@ -285,11 +314,10 @@ def _code_weights(
         seen = code_ns[rows.group[i], slot]
         if 0 < seen < time_ns:
             glonass = 1.0 if has_integers(rows.group[i]) else parameters.noise.glonass_code
-            white = scale * _white_m2(rows, i, base_cn0, glonass * parameters.noise.code_noise_m)
-            white = min(white, variance)
+            noise = min(scale * _noise_m2(epoch, i, glonass * parameters.noise.code_noise_m), variance)
             slow[i] = 1.0 / (
-                white * correlation_factor(time_ns - seen, parameters.white_s)
-                + (variance - white) * correlation_factor(time_ns - seen, parameters.background_s)
+                noise * correlation_factor(time_ns - seen, parameters.noise_s)
+                + (variance - noise) * correlation_factor(time_ns - seen, parameters.background_s)
             )
         code_ns[rows.group[i], slot] = time_ns
     return full, slow
@@ -324,70 +352,76 @@ def _tested_codes(rows: SingleDifferences, parts: Factor, outlier_threshold: flo
 def carried_epoch(
     arcs: CarriedArcs,
     code_ns: Integers,
-    rows: SingleDifferences,
-    rover_arcs: Integers,
-    base_arcs: Integers,
-    base_cn0: Floats,
+    epoch: EpochRows,
     motion: Motion,
-    approximate_ecef_m: Floats,
-    time_ns: int,
     criteria: FixCriteria,
     parameters: CarriedParameters,
 ) -> CarriedEpoch:
-    """Carry the state to this epoch and resolve the ambiguities of its rows."""
+    """Carry the state to an epoch and resolve the ambiguities of its rows.
+
+    `code_ns` (160, 128) is when the code of a group and satellite was used last; it is written.
+    """
+    rows, since_ns = epoch.rows, epoch.time_ns - LONGEST_GAP_NS
     predicted = at_next_epoch(
-        arcs, approximate_ecef_m, motion.moved_m, motion.information, time_ns - _LONGEST_GAP_NS
+        arcs, epoch.approximate_ecef_m, motion.moved_m, link_information=motion.information, since_ns=since_ns
     )
-    broken = _slipped(predicted, rows, _columns(predicted, rows, rover_arcs, base_arcs), parameters)
-    state = _renewed(predicted, rows, broken, rover_arcs, base_arcs)
-    column, nothing = _columns(state, rows, rover_arcs, base_arcs), np.full(broken.size, -1, np.int64)
+    broken = _slipped(predicted, rows, columns_of_rows(predicted, epoch), parameters)
+    state = _renewed(predicted, epoch, broken)
+    column, nothing = columns_of_rows(state, epoch), np.full(broken.size, -1, np.int64)
     value = _relative_phases(rows, state, column)
-    weight, slow = _phase_weights(state, rows, column, base_cn0, time_ns, parameters)
+    weight, slow = _phase_weights(state, epoch, column, parameters)
     present, right = state.information.copy(), state.vector.copy()
-    add_rows(present, right, rows, column, value, weight)
+    add_rows(present, right, rows, column, value_m=value, weight=weight)
     parts = factor(present, right)
     tested = _tested_codes(rows, parts, criteria.code_outlier)
-    slips = int(broken.sum())
     if tested.freedom < 0:
-        return CarriedEpoch(state, without_integers(rows, tested, NO_POSITION), slips, 0.0)
-    full, code = _code_weights(code_ns, rows, tested, base_cn0, time_ns, parameters)
+        return CarriedEpoch(state, without_integers(rows, tested, NO_POSITION), int(broken.sum()))
+    full, code = _code_weights(code_ns, epoch, tested, parameters)
     share = _intersection_share(parts.position_information, _codes(rows, code), _codes(rows, full))
     if share < 1.0:
         state.information[:] *= share
         state.vector[:] *= share
         code = full * (1.0 - share)
         present, right = state.information.copy(), state.vector.copy()
-        add_rows(present, right, rows, column, value, weight)
+        add_rows(present, right, rows, column, value_m=value, weight=weight)
     for i in range(column.size):
         if column[i] >= 0:
-            state.seen_ns[column[i]] = time_ns
-    add_rows(present, right, rows, nothing, rows.code_m, code)
-    add_rows(state.information, state.vector, rows, column, value, slow)
-    add_rows(state.information, state.vector, rows, nothing, rows.code_m, code)
-    estimate = _resolved(state, rows, column, present, right, tested, criteria)
-    return CarriedEpoch(state, estimate, slips, share)
+            state.seen_ns[column[i]] = epoch.time_ns
+    add_rows(present, right, rows, nothing, value_m=rows.code_m, weight=code)
+    add_rows(state.information, state.vector, rows, column, value_m=value, weight=slow)
+    add_rows(state.information, state.vector, rows, nothing, value_m=rows.code_m, weight=code)
+    known = _KnownPart(present, right, column, tested)
+    return CarriedEpoch(state, _resolved(state, rows, known, criteria), int(broken.sum()))
+
+
+class _KnownPart(NamedTuple):
+    """What is known at an epoch, with its phases in full: information and vector, columns of the rows, tested codes."""
+
+    information: Floats
+    vector: Floats
+    column: Integers
+    tested: FloatPosition
 
 
 @compiled
 def _resolved(
-    arcs: CarriedArcs,
-    rows: SingleDifferences,
-    column: Integers,
-    information: Floats,
-    vector: Floats,
-    tested: FloatPosition,
-    criteria: FixCriteria,
+    arcs: CarriedArcs, rows: SingleDifferences, known: _KnownPart, criteria: FixCriteria
 ) -> Estimate:
     """Float position and ambiguities of an epoch, and the integers."""
-    parts = factor(information, vector)
+    tested, column = known.tested, known.column
+    parts = factor(known.information, known.vector)
     position_covariance, solvable = inverse_3(parts.position_information)
     if not solvable:
         return without_integers(rows, tested, NO_POSITION)
     position_m = product(position_covariance, parts.position_vector)
     mean, covariance = solution(parts, position_m, position_covariance)
-    position = FloatPosition(position_m, position_covariance, tested.used, tested.chi2, freedom=tested.freedom)
+    position = FloatPosition(
+        position_m, position_covariance, tested.used, tested.chi2, freedom=tested.freedom
+    )
     kept = without_misplaced(rows, np.ones(column.size, np.bool_), position)
-    unknown = _differences_of(rows, kept, arcs, column, mean, covariance)
+    unknown = _differences_of(
+        rows, kept & (column >= 0), arcs, column=column, mean=mean, covariance_m2=covariance
+    )
     return fixed_estimate(rows, position, unknown, criteria)
 
 
@@ -395,16 +429,15 @@ def _resolved(
 def _codes(rows: SingleDifferences, weight: Floats) -> Floats:
     """Information of codes about the position (3, 3)."""
     information, vector = np.zeros((3, 3)), np.zeros(3)
-    add_rows(information, vector, rows, np.full(weight.size, -1, np.int64), rows.code_m, weight)
+    column = np.full(weight.size, -1, np.int64)
+    add_rows(information, vector, rows, column, value_m=rows.code_m, weight=weight)
     return information
 
 
 @compiled
-def _renewed(
-    arcs: CarriedArcs, rows: SingleDifferences, broken: Booleans, rover_arcs: Integers, base_arcs: Integers
-) -> CarriedArcs:
+def _renewed(arcs: CarriedArcs, epoch: EpochRows, broken: Booleans) -> CarriedArcs:
     """The state without the arcs of the broken rows (k,), and with new ones for them and for rows without one."""
-    before = _columns(arcs, rows, rover_arcs, base_arcs)
+    rows, before = epoch.rows, columns_of_rows(arcs, epoch)
     gone = np.zeros(arcs.rover_arc.size, np.bool_)
     for i in range(broken.size):
         if broken[i]:
@@ -421,19 +454,17 @@ def _renewed(
         vector=vector,
         origin_ecef_m=arcs.origin_ecef_m,
     )
-    column = _columns(left, rows, rover_arcs, base_arcs)
+    column = columns_of_rows(left, epoch)
     new = np.zeros(column.size, np.bool_)
     datum = np.zeros(column.size)
     for i in range(column.size):
-        one, other = rover_arcs[rows.rover[i]], base_arcs[rows.base[i]]
+        one, other = epoch.rover_arc[i], epoch.base_arc[i]
         new[i] = column[i] < 0 and one > 0 and other > 0 and rows.phase_m[i] == rows.phase_m[i]
         if new[i]:
             code = rows.code_m[i] if rows.code_m[i] == rows.code_m[i] else 0.0
             datum[i] = np.rint((rows.phase_m[i] - code) / rows.wavelength_m[i])
     rows_of_new = np.flatnonzero(new)
-    return with_new_arcs(
-        left, rover_arcs[rows.rover[rows_of_new]], base_arcs[rows.base[rows_of_new]], datum[rows_of_new]
-    )
+    return with_new_arcs(left, epoch.rover_arc[rows_of_new], epoch.base_arc[rows_of_new], datum[rows_of_new])
 
 
 @compiled
@@ -447,7 +478,7 @@ def _differences_of(
 ) -> Ambiguities:
     """Double differences of the ambiguities of the usable rows with an arc."""
     n = arcs.vector.size - 3
-    row, reference = group_references(rows, usable & (column >= 0))
+    row, reference = group_references(rows, usable)
     count = row.size
     value, covariance, mixed = np.empty(count), np.empty((count, count)), np.empty((3, count))
     for a in range(count):
@@ -464,12 +495,10 @@ def _differences_of(
 
 
 @compiled
-def with_integers(
-    arcs: CarriedArcs, rows: SingleDifferences, integer: Floats, rover_arcs: Integers, base_arcs: Integers
-) -> CarriedArcs:
+def with_integers(arcs: CarriedArcs, epoch: EpochRows, integer: Floats) -> CarriedArcs:
     """The state given integers by row (k,), as observations as precise as a phase; those held already are left."""
-    column = _columns(arcs, rows, rover_arcs, base_arcs)
-    k, n = column.size, arcs.vector.size - 3
+    rows, column = epoch.rows, columns_of_rows(arcs, epoch)
+    k = column.size
     information, vector, held = arcs.information.copy(), arcs.vector.copy(), arcs.held.copy()
     for g in range(GROUPS):
         base = -1
@@ -483,7 +512,7 @@ def with_integers(
         b = column[base]
         for i in range(k):
             a = column[i]
-            if rows.group[i] != g or a < 0 or i == base or held[a] or not integer[i] == integer[i]:
+            if rows.group[i] != g or a < 0 or i == base or held[a] or np.isnan(integer[i]):
                 continue
             cycles = integer[i] - integer[base] - arcs.datum_cycles[a] + arcs.datum_cycles[b]
             value = cycles * rows.wavelength_m[i]
@@ -505,107 +534,3 @@ def with_integers(
         vector=vector,
         origin_ecef_m=arcs.origin_ecef_m,
     )
-
-
-class CarriedAmbiguities:
-    """The state from epoch to epoch."""
-
-    def __init__(self, noise: Noise, criteria: FixCriteria) -> None:
-        self._parameters, self._criteria = CarriedParameters(noise), criteria
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self._arcs = no_arcs()
-        self._held: CarriedArcs | None = None
-        self._support = 0
-        self._since_ns = 0
-        self._code_ns = np.zeros((GROUPS, 128), np.int64)
-        self._last: Velocity | None = None
-        self._last_ns = 0
-        self.slips = 0
-        self.share = 0.0
-        self.event = ""
-
-    def solve(
-        self,
-        rows: SingleDifferences,
-        approximate_ecef_m: Floats,
-        alone: Estimate,
-        *,
-        rover_arcs: Integers,
-        base_arcs: Integers,
-        base_cn0_dbhz: Floats,
-        velocity: Velocity | None,
-        time_ns: int,
-    ) -> tuple[AmbiguityMode, Estimate]:
-        """Carry the state to this epoch."""
-        elapsed_ns = time_ns - self._last_ns
-        if not 0 < elapsed_ns <= _LONGEST_GAP_NS:
-            self.reset()
-        motion = NO_MOTION
-        if self._last is not None and velocity is not None:
-            moved_m, covariance_m2 = displacement(self._last, velocity, elapsed_ns)
-            motion = Motion(moved_m, inverse_3(covariance_m2)[0])
-
-        def step(arcs: CarriedArcs, code_ns: Integers) -> CarriedEpoch:
-            return carried_epoch(
-                arcs,
-                code_ns,
-                rows,
-                rover_arcs,
-                base_arcs,
-                base_cn0_dbhz,
-                motion,
-                approximate_ecef_m,
-                time_ns,
-                self._criteria,
-                self._parameters,
-            )
-
-        held = None if self._held is None else step(self._held, self._code_ns.copy())
-        floats = step(self._arcs, self._code_ns)
-        self._arcs, self._last, self._last_ns = floats.arcs, velocity, time_ns
-        self.slips, self.share = floats.slips, floats.share
-        self.event = ""
-        direct: tuple[AmbiguityMode, Estimate] = ("carried", floats.estimate)
-        if floats.estimate.status == NO_POSITION:
-            direct = ("single_epoch", alone)
-        elif floats.estimate.status != RESOLVED and alone.status == RESOLVED:
-            if _agree(floats.estimate, alone.dx_m):
-                direct = ("single_epoch", alone)
-            else:
-                self.event = "alone_contradicts_floats"
-        resolved = direct[1].status == RESOLVED
-        if held is not None:
-            usable = held.estimate.status == RESOLVED
-            if usable and not _agree(floats.estimate, held.estimate.dx_m):
-                self.event = "refuted_by_floats"
-                self._held = held = None
-            elif usable and resolved and not self._same(held.estimate, direct[1]):
-                self.event = "refuted_by_integers"
-                self._held = held = None
-                return "carried", floats.estimate._replace(status=CONTRADICTORY)
-            elif usable:
-                self._support += resolved
-                self._held = with_integers(held.arcs, rows, held.estimate.integer, rover_arcs, base_arcs)
-                if self._support >= 5 and time_ns - self._since_ns > 1_000_000_000:
-                    self.event = "held"
-                    return "carried", held.estimate
-            else:
-                self._held = held.arcs
-        if resolved and (self._held is None):
-            self._held = with_integers(floats.arcs, rows, direct[1].integer, rover_arcs, base_arcs)
-            self._support, self._since_ns = 1, time_ns
-        return direct
-
-    def _same(self, one: Estimate, other: Estimate) -> bool:
-        """Whether two fixes of one epoch are at the same place."""
-        apart = one.dx_m - other.dx_m
-        return float(apart @ apart) < 0.3**2
-
-
-def _agree(floats: Estimate, dx_m: Floats) -> bool:
-    apart = dx_m - floats.float_dx_m
-    chi2 = float(apart @ np.linalg.solve(floats.float_covariance_m2, apart))
-    return chi2 < 21.1 * 2.0

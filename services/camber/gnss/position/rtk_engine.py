@@ -25,7 +25,8 @@ from camber.gnss.observations.differential_age import base_use
 from camber.gnss.observations.ephemeris_store import EphemerisStore, MissingReason
 from camber.gnss.observations.epoch_order import EpochOrder
 from camber.gnss.observations.signal_pairs import columns_of
-from camber.gnss.position.carried_solution import AmbiguityMode, CarriedAmbiguities
+from camber.gnss.position.carried_ambiguities import AmbiguityMode, CarriedAmbiguities
+from camber.gnss.position.carried_solution import EpochRows
 from camber.gnss.position.doppler_prior import DopplerPrior, velocity_in_ecef
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.epoch_solution import EngineParameters, SatelliteView, solve_epoch
@@ -188,17 +189,15 @@ class Engine:
         self._prior.keep(velocity, single, float_ecef_m, estimate.float_covariance_m2)
         mode: AmbiguityMode = "single_epoch"
         if self._carried is not None:
-            self.alone = estimate
-            mode, estimate = self._carried.solve(
-                rows,
-                approximate,
-                estimate,
-                rover_arcs=arcs,
-                base_arcs=self.base.arcs,
-                base_cn0_dbhz=base.cn0_dbhz,
-                velocity=velocity_in_ecef(velocity, single),
+            epoch = EpochRows(
+                rows=rows,
+                rover_arc=arcs[rows.rover],
+                base_arc=self.base.arcs[rows.base],
+                base_cn0_dbhz=base.cn0_dbhz[rows.base],
                 time_ns=rover.time_ns,
+                approximate_ecef_m=approximate,
             )
+            mode, estimate = self._carried.solve(epoch, estimate, velocity_in_ecef(velocity, single))
             float_ecef_m = approximate + estimate.float_dx_m
         fixed = estimate.status == RESOLVED
         continuity, since_ns = (

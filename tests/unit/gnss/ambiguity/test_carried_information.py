@@ -76,9 +76,7 @@ def carried(epochs: list[Epoch]):
         arcs = with_new_arcs(arcs, new, new, np.zeros(new.size))
         column = np.array([np.flatnonzero(arcs.rover_arc == a)[0] for a in epoch.arc])
         rows, none = epoch.rows, np.full(column.size, -1)
-        add_rows(
-            arcs.information, arcs.vector, rows, column, rows.phase_m, 1.0 / rows.phase_variance_m2
-        )
+        add_rows(arcs.information, arcs.vector, rows, column, rows.phase_m, 1.0 / rows.phase_variance_m2)
         add_rows(arcs.information, arcs.vector, rows, none, rows.code_m, 1.0 / rows.code_variance_m2)
         arcs.seen_ns[column] = k * S
     parts = factor(arcs.information, arcs.vector)
@@ -203,6 +201,9 @@ def test_an_ambiguity_that_is_eliminated_leaves_the_others_as_they_were():
 
     gone = np.zeros(column.size, np.bool_)
     gone[3] = True
-    before, after = position(arcs.information, arcs.vector), position(*without(arcs.information, arcs.vector, gone))
+    before, after = (
+        position(arcs.information, arcs.vector),
+        position(*without(arcs.information, arcs.vector, gone)),
+    )
     for one, other in zip(before, after, strict=True):
         assert other == pytest.approx(one, rel=1e-6, abs=1e-9)

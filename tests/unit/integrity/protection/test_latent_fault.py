@@ -169,7 +169,11 @@ def test_a_match_counts_where_four_of_its_sigma_are_within_the_fault(sigma_m, od
 
 
 def carried_fix(epoch, since, **changes):
-    fields = {"ambiguity_mode": "carried", "ambiguity_continuity": "continuous", "continuous_since_ns": at(since)}
+    fields = {
+        "ambiguity_mode": "carried",
+        "ambiguity_continuity": "continuous",
+        "continuous_since_ns": at(since),
+    }
     return fix(epoch, **fields | changes)
 
 
