@@ -31,6 +31,7 @@ def test_the_warm_up_of_a_service_calls_all_that_it_calls(service: str) -> None:
         ("READER_FUNCTIONS", "compile_readers()"),
         ("ENGINE_FUNCTIONS", "warm_up(subsets=False)"),
         ("ENGINE_FUNCTIONS + SUBSET_FUNCTIONS", "warm_up()"),
+        ("ENGINE_FUNCTIONS + SUBSET_FUNCTIONS + CARRIED_FUNCTIONS", "warm_up(carried=True)"),
     ],
 )
 def test_the_engine_counts_the_functions_of_each_use(names: str, work: str) -> None:

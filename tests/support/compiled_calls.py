@@ -38,7 +38,7 @@ def main(service: str) -> int:
     shared = [module for name, module in sys.modules.items() if name.startswith(shared_folders)]
     progress = CompilationProgress(expected=None, begin=lambda functions: None, advance=lambda: None)
     with watched_by(progress):
-        warm_up.warm_up()
+        warm_up.warm_up(**({"carried": True} if service == "gnss" else {}))
         if hasattr(warm_up, "compile_readers"):
             warm_up.compile_readers()
     called = {each: by for module in (*of_service, *shared) for each, by in _calls(module)}

@@ -28,7 +28,7 @@ from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.position.satellite_use import satellite_columns
 from camber.gnss.settings import GnssSettings
-from camber.gnss.warm_up import FUNCTIONS, READER_FUNCTIONS, compile_readers, warm_up
+from camber.gnss.warm_up import CARRIED_FUNCTIONS, FUNCTIONS, READER_FUNCTIONS, compile_readers, warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.state_file import StateFile
@@ -67,12 +67,14 @@ class GnssService(Service[GnssSettings]):
         """Compile everything that is used."""
         compile_readers()
         if settings.positions == "engine":
-            warm_up()
+            warm_up(carried=settings.engine.ambiguities == "carried")
 
     @classmethod
     def compiled_functions(cls, settings: GnssSettings) -> int:
         """Those of the readers, and with raw observations those of the engine."""
-        return FUNCTIONS if settings.positions == "engine" else READER_FUNCTIONS
+        if settings.positions != "engine":
+            return READER_FUNCTIONS
+        return FUNCTIONS if settings.engine.ambiguities == "carried" else FUNCTIONS - CARRIED_FUNCTIONS
 
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

@@ -37,10 +37,11 @@ from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine, Solution
 from camber.gnss.position.small_algebra import form, inner
 
-READER_FUNCTIONS, ENGINE_FUNCTIONS, SUBSET_FUNCTIONS = 10, 15, 5
-"""Compiled functions that Python calls: of `compile_readers`, of the engine, and for subsets in addition."""
-FUNCTIONS = 24
-"""Those of the service: the readers share some with the engine."""
+READER_FUNCTIONS, ENGINE_FUNCTIONS, SUBSET_FUNCTIONS, CARRIED_FUNCTIONS = 10, 15, 5, 2
+"""Compiled functions that Python calls: of `compile_readers`, of the engine, in addition for subsets and for carried
+ambiguities."""
+FUNCTIONS = 26
+"""Those of the service with all of it: the readers share some with the engine."""
 
 _COMPILED_IN_PARALLEL = frozenset(
     {
@@ -63,13 +64,13 @@ _NO_PERTURBATION = (
 _BASE_ECEF_M = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
 
 
-def warm_up(*, subsets: bool = True) -> Solution:
+def warm_up(*, subsets: bool = True, carried: bool = False) -> Solution:
     """Compile the engine, in two processes where that is needed; a synthetic solution.
 
-    `subsets`: also what re-estimates it.
+    `subsets`: also what re-estimates it; `carried`: also what carries ambiguities.
     """
     with engine_compiled_in_parallel():
-        return _solve_synthetic_epochs(subsets=subsets)
+        return _solve_synthetic_epochs(subsets=subsets, carried=carried)
 
 
 def engine_compiled_in_parallel() -> AbstractContextManager[None]:
@@ -77,9 +78,9 @@ def engine_compiled_in_parallel() -> AbstractContextManager[None]:
     return compiled_in_parallel("camber.gnss.warm_up", _COMPILED_IN_PARALLEL)
 
 
-def _solve_synthetic_epochs(*, subsets: bool) -> Solution:
+def _solve_synthetic_epochs(*, subsets: bool, carried: bool) -> Solution:
     """Solve synthetic epochs through all stages; the solution of the last. `subsets`: re-estimate it, too."""
-    settings = EngineSettings()
+    settings = EngineSettings(ambiguities="carried" if carried else "single_epoch")
     rover = _BASE_ECEF_M + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(_BASE_ECEF_M)[:2])
     engine = Engine(settings, _BASE_ECEF_M)
     for ephemeris in _constellation():
@@ -165,5 +166,5 @@ def _epoch(ephemerides: EphemerisStore, antenna_ecef_m: Floats, time_ns: int) ->
 
 
 if __name__ == "__main__":
-    warm_up()
+    warm_up(carried=True)
     compile_readers()

@@ -59,7 +59,6 @@ class Factor(NamedTuple):
     reduced: Floats
 
 
-@compiled
 def no_arcs() -> CarriedArcs:
     """The state before the first epoch."""
     none = np.zeros(0, np.int64)

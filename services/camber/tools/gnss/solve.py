@@ -25,7 +25,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.rtk_engine import Engine
-from camber.gnss.warm_up import ENGINE_FUNCTIONS, engine_compiled_in_parallel, warm_up
+from camber.gnss.warm_up import CARRIED_FUNCTIONS, ENGINE_FUNCTIONS, engine_compiled_in_parallel, warm_up
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
@@ -75,7 +75,9 @@ def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
     raw = manifest.observations
     if raw is None:
         raise ManifestError(f"{manifest.name}: no table observations, expected raw observations and a base")
-    recording = _load(raw.rover_obs, raw.base_obs, raw.ephemerides, base_ecef_m=raw.base_ecef_m)
+    recording = _load(
+        raw.rover_obs, raw.base_obs, raw.ephemerides, base_ecef_m=raw.base_ecef_m, options=options
+    )
     rover = _within(recording.rover, manifest)
     if not rover:
         raise ManifestError(f"{manifest.name}: no epoch of the rover from start_s to end_s, expected some")
@@ -94,18 +96,25 @@ def solve_files(
     """The same of files: rover, base, then ephemerides. Raises FormatError, OSError."""
     require_matplotlib()
     rover, base, *ephemerides = files
-    recording = _load(rover, base, ephemerides, base_ecef_m=base_ecef_m)
+    recording = _load(rover, base, ephemerides, base_ecef_m=base_ecef_m, options=options)
     solved = _run_with_display(recording, recording.rover, options)
     return _written(rover.name, recording, solved, options, errors_m=None, out=out)
 
 
 def _load(
-    rover: Path, base: Path, ephemerides: Sequence[Path], *, base_ecef_m: tuple[float, float, float] | None
+    rover: Path,
+    base: Path,
+    ephemerides: Sequence[Path],
+    *,
+    base_ecef_m: tuple[float, float, float] | None,
+    options: EngineSettings,
 ) -> RawRecording:
     """Read the files and compile the engine, as far as that was not done before."""
-    with compilation_bar(RINEX_FUNCTIONS + ENGINE_FUNCTIONS), engine_compiled_in_parallel():
+    carried = options.ambiguities == "carried"
+    functions = RINEX_FUNCTIONS + ENGINE_FUNCTIONS + (CARRIED_FUNCTIONS if carried else 0)
+    with compilation_bar(functions), engine_compiled_in_parallel():
         recording = load_raw(rover, base, ephemerides, base_ecef_m=base_ecef_m)
-        warm_up(subsets=False)
+        warm_up(subsets=False, carried=carried)
     return recording
 
 

@@ -25,7 +25,7 @@ slow = settings(derandomize=True, deadline=None, max_examples=25)
 
 @dataclass(frozen=True)
 class Epoch:
-    """Rows, the arc of each (its ambiguity's number), and the link to the epoch before: displacement and information."""
+    """Rows, the arc of each (number of its ambiguity), displacement since the epoch before and its information."""
 
     rows: SingleDifferences
     arc: np.ndarray
