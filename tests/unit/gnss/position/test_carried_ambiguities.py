@@ -154,9 +154,11 @@ def test_wrong_integers_put_in_on_purpose_are_left_within_three_seconds():
 
 
 def test_a_hypothesis_gives_the_fix_where_the_epoch_by_itself_gives_none():
-    """Five satellites of one band are too few for one epoch, and enough with integers that are known."""
+    """Six satellites of one band are too few for one epoch, and enough with integers that are known."""
     rover = list(drive().rover)
-    few = np.unique(rover[0].satellite[(rover[0].satellite >> 8) == ord("G")])[:5]
+    rows = run(rover[:1], drive().base[:1], engine_of(drive()))[0].rows
+    of_gps = np.flatnonzero((rows.satellite >> 8 == ord("G")) & (rows.group == rows.group.min()))
+    few = rows.satellite[of_gps[np.argsort(rows.elevation_rad[of_gps])][-6:]]
     at = 5 * RATE_HZ
     poor = [
         some_rows(epoch, np.isin(epoch.satellite, few) & (epoch.signal == signal_number("1C")))
