@@ -28,15 +28,15 @@ from camber.gnss.observations.differenced_observations import Noise
 from camber.gnss.observations.signal_pairs import GROUPS
 from camber.gnss.position.carried_solution import (
     LONGEST_GAP_NS,
-    NO_MOTION,
+    NO_LINK,
     CarriedEpoch,
     CarriedParameters,
     EpochRows,
-    Motion,
+    PositionLink,
     carried_epoch,
     with_integers,
 )
-from camber.gnss.position.doppler_prior import Velocity, displacement
+from camber.gnss.position.doppler_prior import EcefVelocity, displacement
 from camber.gnss.position.float_solution import inverse_3
 
 AmbiguityMode = Literal["single_epoch", "carried"]
@@ -78,14 +78,14 @@ class CarriedAmbiguities:
         self._hypothesis: _Hypothesis | None = None
         self._code_ns = np.zeros((GROUPS, _SATELLITES), np.int64)
         self._last_ns = 0
-        self._velocity: Velocity | None = None
+        self._velocity: EcefVelocity | None = None
 
     def arcs(self) -> list[tuple[int, int]]:
         """Arcs of the floats, by their numbers at rover and base."""
         return list(zip(self._arcs.rover_arc.tolist(), self._arcs.base_arc.tolist(), strict=True))
 
     def solve(
-        self, epoch: EpochRows, alone: Estimate, velocity: Velocity | None
+        self, epoch: EpochRows, alone: Estimate, velocity: EcefVelocity | None
     ) -> tuple[AmbiguityMode, Estimate]:
         """The estimate of an epoch, and its mode; `alone` is that of the epoch by itself, which has a position."""
         if not 0 < epoch.time_ns - self._last_ns <= LONGEST_GAP_NS:
@@ -106,16 +106,18 @@ class CarriedAmbiguities:
             self._hypothesis = _Hypothesis(arcs, epoch.time_ns, 1)
         return direct
 
-    def _carry(self, arcs: CarriedArcs, code_ns: Integers, epoch: EpochRows, motion: Motion) -> CarriedEpoch:
+    def _carry(
+        self, arcs: CarriedArcs, code_ns: Integers, epoch: EpochRows, motion: PositionLink
+    ) -> CarriedEpoch:
         return carried_epoch(
             arcs, code_ns, epoch, motion, criteria=self._criteria, parameters=self._parameters
         )
 
-    def _motion(self, velocity: Velocity | None, time_ns: int) -> Motion:
+    def _motion(self, velocity: EcefVelocity | None, time_ns: int) -> PositionLink:
         if self._velocity is None or velocity is None:
-            return NO_MOTION
+            return NO_LINK
         moved_m, covariance_m2 = displacement(self._velocity, velocity, time_ns - self._last_ns)
-        return Motion(moved_m, inverse_3(covariance_m2)[0])
+        return PositionLink(moved_m, inverse_3(covariance_m2)[0])
 
     def _test_hypothesis(
         self, epoch: EpochRows, held: CarriedEpoch, floats: Estimate, direct: Estimate

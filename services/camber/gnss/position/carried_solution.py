@@ -80,14 +80,14 @@ class CarriedParameters(NamedTuple):
     slip_power: float = 6.3
 
 
-class Motion(NamedTuple):
+class PositionLink(NamedTuple):
     """Displacement (3,) since the last epoch in ECEF, and its information (3, 3); zeros: not known."""
 
     moved_m: Floats
     information: Floats
 
 
-NO_MOTION = Motion(np.zeros(3), np.zeros((3, 3)))
+NO_LINK = PositionLink(np.zeros(3), np.zeros((3, 3)))
 
 
 class EpochRows(NamedTuple):
@@ -353,7 +353,7 @@ def carried_epoch(
     arcs: CarriedArcs,
     code_ns: Integers,
     epoch: EpochRows,
-    motion: Motion,
+    motion: PositionLink,
     criteria: FixCriteria,
     parameters: CarriedParameters,
 ) -> CarriedEpoch:

@@ -38,14 +38,14 @@ class _LastEpoch(NamedTuple):
     velocity_covariance_m2_s2: Floats
 
 
-class Velocity(NamedTuple):
-    """Velocity of an epoch in ECEF (3,) and its covariance (3, 3)."""
+class EcefVelocity(NamedTuple):
+    """EcefVelocity of an epoch in ECEF (3,) and its covariance (3, 3)."""
 
     ecef_m_s: Floats
     covariance_m2_s2: Floats
 
 
-def displacement(before: Velocity, after: Velocity, elapsed_ns: int) -> tuple[Floats, Floats]:
+def displacement(before: EcefVelocity, after: EcefVelocity, elapsed_ns: int) -> tuple[Floats, Floats]:
     """Displacement (3,) between two epochs by their velocities, and its covariance (3, 3)."""
     dt_s = elapsed_ns / NS_PER_SECOND
     rate = 0.5 * (before.covariance_m2_s2 + after.covariance_m2_s2) + np.eye(3) * _DRIFT_M_S**2
@@ -86,12 +86,12 @@ class DopplerPrior:
         self._last = now and _LastEpoch(velocity.time_ns, position_ecef_m, covariance_ecef_m2, *now)
 
 
-def velocity_in_ecef(velocity: DopplerVelocity, single: SinglePoint) -> Velocity | None:
+def velocity_in_ecef(velocity: DopplerVelocity, single: SinglePoint) -> EcefVelocity | None:
     """The velocity and its covariance in ECEF."""
     if velocity.status != "ok":
         return None
     latitude, longitude, _ = geodetic(single.approximate_ecef_m)
     rotation = enu_from_ecef_rotation(latitude, longitude)
-    return Velocity(
+    return EcefVelocity(
         rotation.T @ velocity.velocity_enu_m_s, rotation.T @ velocity.covariance_enu_m2_s2 @ rotation
     )
