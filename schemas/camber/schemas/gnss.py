@@ -157,7 +157,8 @@ class Fix(Message):
         None, description="first fix of the chain whose integers go on to this one"
     )
     ambiguity_mode: AmbiguityMode = Field(
-        "unknown", description="of the engine: each epoch by itself, or with ambiguities carried along unbroken arcs"
+        "unknown",
+        description="of the engine: each epoch by itself, or with ambiguities carried along unbroken arcs",
     )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
     base_station: Name | None = Field(
