@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 from collections.abc import Callable
@@ -31,6 +32,7 @@ from camber.formats.map_exchange.map_projector import map_projector
 from camber.formats.map_exchange.opendrive import opendrive_map
 from camber.formats.map_exchange.pcd import PointCloud, cloud_from_pcd, pcd_bytes
 from camber.formats.map_exchange.ply import points_from_ply
+from camber.formats.map_exchange.pmtiles import PmtilesFile, PmtilesWriter, first_number
 from camber.formats.map_exchange.projection import Projection
 from camber.formats.map_exchange.vertical_datum import vertical_datum
 from camber.formats.nmea.epochs import NmeaDecoder
@@ -536,6 +538,27 @@ def _tiles(random: Random) -> list[list[bytes]]:
     return [[blob] for blob in roads] + [[encode(build(CloudTile, random, filled=True))]]
 
 
+def _archives(random: Random) -> list[list[bytes]]:
+    seeds = []
+    for count in (1, 40):
+        stream = io.BytesIO()
+        writer = PmtilesWriter(stream)
+        for number in sorted(random.sample(range(4**3), count)):
+            writer.add(first_number(3) + number, random.randbytes(20))
+        writer.finish({"name": "fuzz"}, zooms=(3, 3), bounds_deg=(-180.0, -85.0, 180.0, 85.0))
+        seeds.append([stream.getvalue()])
+    return seeds
+
+
+def _read_archive(data: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "fuzz.pmtiles"
+        path.write_bytes(data)
+        file = PmtilesFile(path)
+        for x in range(8):
+            file.tile(3, x, 7 - x)
+
+
 def _read_tile(data: bytes) -> None:
     """Check a tile as a release and the map server do, without the hash, which detects any damage."""
     named = [cls for cls in _TILES if cls.schema_name().encode() in data[:100]]
@@ -793,6 +816,7 @@ DECODERS: tuple[Target, ...] = (
     ),
     Target("livox_custom", _livox_sweeps, read=partial(_read_point_cloud, kind=LIVOX), refusal=FormatError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
+    Target("pmtiles", _archives, read=_read_archive, refusal=FormatError),
     Target("map_projector", _projectors, read=lambda data: map_projector(data, "fuzz"), refusal=FormatError),
     Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),

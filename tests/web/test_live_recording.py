@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from camber.cli import main
 from camber.formats.drive.mcap_recorder import Recorder
 from camber.replay.short_drive import START_NS, write_short_drive
 from camber.schemas.base import Message
@@ -41,12 +42,30 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return replayed(write_short_drive(folder / "drive"), folder / "out", "--quiet")
 
 
-def opened(ends: ExitStack, browser: Any, path: Path, fragment: str = "") -> WatchedPage:
-    address = served_address(ends.enter_context(camber_started("live", path, "--port", 0)))
+def opened(ends: ExitStack, browser: Any, path: Path, fragment: str = "", *options: object) -> WatchedPage:
+    address = served_address(ends.enter_context(camber_started("live", path, "--port", 0, *options)))
     shown = watched(browser, address + fragment)
     ends.callback(shown.page.close)
     shown.wait_for("camber.map.ready")
     return shown
+
+
+def test_a_pmtiles_file_is_drawn_at_every_zoom_and_nothing_is_asked_of_others(
+    browser: Any, run: Path, tmp_path: Path
+) -> None:
+    release, archive = run.parent / "drive" / "map", tmp_path / "map.pmtiles"
+    assert main(["map", "export", str(release), "--to", "pmtiles", "--out", str(archive)]) == 0
+    with ExitStack() as ends:
+        shown = opened(ends, browser, run, "", "--map", archive)
+        shown.wait_for(READ)
+        drawn = "camber.map.map.queryRenderedFeatures({ layers: ['%s'] }).filter(each => %s).length > %d"
+        # Only tiles of a file have heights.
+        shown.wait_for(drawn % ("surfaces", "each.properties.height > 0", 20))
+        for zoom in (14, 8):
+            shown.page.evaluate(f"camber.map.map.jumpTo({{ zoom: {zoom} }})")
+            shown.wait_for(drawn % ("links", "true", 0))
+        shown.wait_for("document.querySelector('camber-notes').textContent.includes('Map: ')")
+        assert (shown.elsewhere(), shown.complaints) == ([], [])
 
 
 def test_a_replay_is_shown_with_its_map_and_its_truth(browser: Any, run: Path) -> None:

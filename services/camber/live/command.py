@@ -28,6 +28,7 @@ import uvicorn
 
 from camber.formats.errors import FormatError
 from camber.live.access import LOOPBACK
+from camber.live.archived_tiles import ArchivedTiles
 from camber.live.history import HOUR_ROWS, History
 from camber.live.map_tiles import MapTiles, ReleaseSource
 from camber.live.rows import LAYOUTS, RowWriter
@@ -174,8 +175,8 @@ def _run_folder(args: argparse.Namespace) -> LiveState:
     )
 
 
-def _tiles(folder: Path) -> MapTiles:
-    return MapTiles(ReleaseSource(open_release(folder)))
+def _tiles(path: Path) -> MapTiles | ArchivedTiles:
+    return ArchivedTiles(path) if path.is_file() else MapTiles(ReleaseSource(open_release(path)))
 
 
 def _check(args: argparse.Namespace, token: str | None) -> None:
@@ -264,8 +265,8 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--map",
         type=Path,
-        metavar="DIR",
-        help="release of the map (default: that of the run or of the vehicle)",
+        metavar="DIR|FILE.pmtiles",
+        help="release of the map, or its tiles (default: that of the run or of the vehicle)",
     )
     add_with_default(parser, "--host", "127.0.0.1", "address to serve on", metavar="ADDRESS")
     add_with_default(

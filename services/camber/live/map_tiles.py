@@ -15,8 +15,8 @@ import numpy as np
 from camber.geodesy.gps_time import NS_PER_DAY, UNIX_OF_GPS_EPOCH_NS
 from camber.live.vector_tiles import EXTENT, TileLayer, encode_tile
 from camber.road_map.release import Release
-from camber.road_map.road_tiles import surface_corners_m
-from camber.road_map.tile_grid import Tile, tile_frame
+from camber.road_map.road_tiles import grid_nodes, surface_corners_m, surface_heights_m
+from camber.road_map.tile_grid import Tile, tile_frame, world_shares
 from camber.schemas.base import Float64, Int64
 from camber.schemas.road import ZOOM, CloudTile, Layer, LinkTile, SurfaceTile
 
@@ -27,6 +27,7 @@ _CACHED = 512  # chosen: some megabytes
 _CLOUDS_CACHED = 4  # chosen: of at most 5 MB each
 _MOST_POINTS = 400_000  # of a tile; chosen: more are not distinguished on a screen
 _MILLIMETRE_DECIMALS = 3  # of σ: few different values make small tiles
+_HEIGHT_DECIMALS = 2  # chosen: a centimetre, as for σ
 _CORNERS = 4  # of a surface, and of a square
 
 
@@ -146,8 +147,10 @@ def degrees_of(x: float, y: float) -> tuple[float, float]:
     return x / (1 << ZOOM) * 360.0 - 180.0, math.degrees(math.atan(math.sinh(share)))
 
 
-def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
-    """The layer of surfaces; none where there are none."""
+def surface_layers(
+    source: MapSource, within: Iterable[Tile], place: TilePlace, *, with_height: bool = False
+) -> list[TileLayer]:
+    """The layer of surfaces, with their mean heights where these are asked for; none where there are none."""
     read = [(tile, source.surface_tile(*tile)) for tile in within]
     tiles = [(tile, surfaces) for tile, surfaces in read if surfaces is not None]
     if not tiles:
@@ -162,9 +165,9 @@ def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) 
     def column(name: str) -> Any:
         return np.concatenate([getattr(surfaces, name) for _, surfaces in tiles])
 
-    numbers, once = np.unique(
-        column("surface_id"), return_index=True
-    )  # what touches two tiles stands in both
+    # What touches two tiles stands in both.
+    numbers, once = np.unique(column("surface_id"), return_index=True)
+    heights = {"height": np.concatenate([_heights_m(tile) for _, tile in tiles])[once]} if with_height else {}
     return [
         TileLayer(
             name="surfaces",
@@ -177,9 +180,19 @@ def surface_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) 
                 "level": column("level")[once],
                 # Leap seconds do not matter to the age of a road.
                 "day": (column("last_seen_ns")[once] + UNIX_OF_GPS_EPOCH_NS) // NS_PER_DAY,
-            },
+            }
+            | heights,
         )
     ]
+
+
+def _heights_m(tile: SurfaceTile) -> Float64:
+    """Mean height of each surface (n,)."""
+    nodes, of_surface = grid_nodes(tile, np.arange(len(tile.rows)))
+    sums = np.bincount(of_surface, surface_heights_m(tile)[nodes], len(tile.rows))
+    points = (tile.rows.astype(np.int64) * tile.columns).astype(np.float64)
+    heights_m: Float64 = np.round(sums / points, _HEIGHT_DECIMALS)
+    return heights_m
 
 
 def link_layers(source: MapSource, within: Iterable[Tile], place: TilePlace) -> list[TileLayer]:
@@ -232,6 +245,4 @@ def _shares(east_north_m: Float64, tile: Tile, place: TilePlace) -> Float64:
         return np.zeros((0, 2))
     latitude, longitude, _ = tile_frame(*tile).geodetic_from_east_north_array(east_north_m, 0.0)
     number = float(1 << place.zoom)
-    column = (longitude + math.pi) / (2.0 * math.pi) * number - place.x
-    row = (0.5 - np.arcsinh(np.tan(latitude)) / (2.0 * math.pi)) * number - place.y
-    return np.column_stack((column, row))
+    return world_shares(latitude, longitude) * number - (place.x, place.y)

@@ -24,7 +24,9 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from camber.formats.errors import FormatError
 from camber.live.access import Guard
+from camber.live.archived_tiles import ArchivedTiles
 from camber.live.fleet import FleetSource
 from camber.live.health_watch import HealthWatch, MapChangesWatch
 from camber.live.history import Cursor, History, columns_of
@@ -33,7 +35,6 @@ from camber.live.review import HEADER, MOST_BYTES, Answer, MapReview
 from camber.live.rows import TERMS
 from camber.live.runbook import runbook_entries
 from camber.live.sources import Source
-from camber.road_map.release import ReleaseError
 from camber.road_map.tile_checks import MAX_ID
 from camber.road_map.tile_grid import TILES
 
@@ -59,7 +60,7 @@ class LiveState:
     title: str
     history: History
     source: Source | FleetSource
-    tiles: MapTiles | None = None
+    tiles: MapTiles | ArchivedTiles | None = None
     map_problem: str = ""
     health: HealthWatch | None = None
     changes: MapChangesWatch | None = None
@@ -233,7 +234,7 @@ async def _of_map(state: LiveState, make: Callable[[], bytes], media_type: str) 
     """What is made of the map, in a thread of its own, or what is wrong with it."""
     try:
         data = await asyncio.to_thread(make)
-    except ReleaseError as error:
+    except (FormatError, OSError) as error:
         state.map_problem = str(error)
         return JSONResponse({"problem": str(error)}, 503)
     return Response(data, media_type=media_type, headers={"cache-control": "no-store"})

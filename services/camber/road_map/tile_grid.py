@@ -52,6 +52,13 @@ def tiles_of(
     return np.where(has_tile, x, -1), np.where(has_tile, y, -1)
 
 
+def world_shares(
+    latitude_rad: NDArray[np.float64], longitude_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return places (n, 2) in shares of the whole projection, from west and from north."""
+    return np.column_stack((_column(longitude_rad), _row(latitude_rad))) / TILES
+
+
 @lru_cache(maxsize=4096)
 def tile_frame(x: int, y: int) -> LocalFrame:
     """Return the frame of a tile: tangent at ellipsoidal height zero to its centre (in the projection)."""

@@ -105,7 +105,7 @@ export class CamberMap extends HTMLElement {
       layers.push(
         { id: "squares", type: "fill", source: "roads", "source-layer": "squares", paint: { "fill-opacity": .35 } },
         { id: "surfaces", type: "fill", source: "roads", "source-layer": "surfaces", minzoom: 15, layout: { "fill-sort-key": ["get", "level"] }, ...filter },
-        { id: "links", type: "line", source: "roads", "source-layer": "links", minzoom: 12, paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] }, ...filter },
+        { id: "links", type: "line", source: "roads", "source-layer": "links", paint: { "line-width": ["interpolate", ["linear"], ["zoom"], 12, 1, 18, 1.6] }, ...filter },
       );
     }
     const colours = this.paints();

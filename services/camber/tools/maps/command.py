@@ -18,7 +18,7 @@ SUBCOMMANDS = {
     ),
     "diff": Command("camber.tools.maps.diff", "differences between two releases"),
     "export": Command(
-        "camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, GeoParquet, or PCD cells for Autoware"
+        "camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, GeoParquet, PMTiles, or PCD cells"
     ),
     "picture": Command("camber.tools.maps.picture", "the map from above, as PNG"),
     "releases": Command(

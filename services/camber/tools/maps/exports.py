@@ -3,6 +3,7 @@
 geotiff     one file for each level, LEVEL.tif in a folder: band 1 heights above the ellipsoid, band 2 their σ
 geojson     one file: surfaces with all their columns, and links; `camber map build geojson` reads it again
 geoparquet  a folder: surfaces.parquet and links.parquet with all their columns
+pmtiles     one file: vector tiles for browsers and QGIS
 pcd         a folder for Autoware: the clouds in square cells, their metadata, and how coordinates are projected
 """
 
@@ -30,6 +31,7 @@ from camber.tools.maps.geoparquet import export_geoparquet
 from camber.tools.maps.importers.height_raster import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
 from camber.tools.maps.release_at import add_release, named_release
+from camber.tools.maps.tile_archive import export_pmtiles
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.tools.options.output_check import check_output_file, check_output_folder
@@ -217,4 +219,5 @@ _EXPORTERS: dict[str, tuple[Callable[[Path], None], _Exporter]] = {
     "geoparquet": (_check_geoparquet_folder, export_geoparquet),
     "geotiff": (_check_geotiff_folder, export_geotiff),
     "pcd": (_check_pcd_folder, export_pcd),
+    "pmtiles": (check_output_file, export_pmtiles),
 }
