@@ -99,6 +99,9 @@ class RawObservations(Model):
     base_ecef_m: Annotated[tuple[EcefMetres, EcefMetres, EcefMetres], Field(strict=False)] | None = Field(
         None, description="where the base's antenna is, ECEF; unset: as base_obs itself says"
     )
+    ambiguities: Literal["single_epoch", "carried"] = Field(
+        "single_epoch", description="of each epoch alone, or carried along unbroken arcs from epoch to epoch"
+    )
 
 
 class SampleFile(Model):

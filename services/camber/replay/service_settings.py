@@ -29,13 +29,16 @@ ServiceTables = dict[str, Mapping[str, Any]]
 def service_settings(inputs: DriveInputs, folder: Path) -> ServiceTables:
     """Return the settings of all services; they keep their state in `folder`/state."""
     manifest, raw = inputs.manifest, inputs.manifest.observations
+    engine: dict[str, Any] = {"ephemerides_of_satellite": EPHEMERIDES_OF_SATELLITE}
+    if raw is not None:
+        engine["ambiguities"] = raw.ambiguities
     base = {} if raw is None or raw.base_ecef_m is None else {"base_ecef_m": list(raw.base_ecef_m)}
     of_drive: ServiceTables = {
         "gnss": {
             "source": "bus",
             "datum": manifest.datum,
             "positions": manifest.judged_positions,
-            "engine": {"ephemerides_of_satellite": EPHEMERIDES_OF_SATELLITE},
+            "engine": engine,
             **base,
         },
         "map_server": {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,7 +22,15 @@ from camber.replay.short_drive import write_short_drive
 from camber.replay.sweep_files import SweepReader
 from camber.runtime.settings import load
 from camber.schemas.channels import SERVICES
-from camber.schemas.drive import AntennaHeightMethod, ImuFile, LeverArms, SampleFile, Sweeps, load_manifest
+from camber.schemas.drive import (
+    AntennaHeightMethod,
+    ImuFile,
+    LeverArms,
+    RawObservations,
+    SampleFile,
+    Sweeps,
+    load_manifest,
+)
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.motion import Imu, LeverArm, Motion, Ranging, Suspension
 from camber.tools import demo
@@ -61,6 +70,13 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(drive: DriveInp
     assert configs["antenna_height"]["way"] == manifest.antenna_height.way
     assert configs["integrity"]["alert_limit_m"] == manifest.alert_limit_m
     assert configs["localizer"]["initial_pose"] == start.model_dump()
+
+
+def test_a_drive_can_carry_the_ambiguities_of_its_observations(drive: DriveInputs, tmp_path: Path) -> None:
+    files = {"rover_obs": tmp_path, "base_obs": tmp_path, "ephemerides": (tmp_path,)}
+    raw = RawObservations.model_construct(**files, base_ecef_m=None, ambiguities="carried")
+    with_raw = replace(drive, manifest=drive.manifest.model_copy(update={"observations": raw}))
+    assert service_settings(with_raw, tmp_path)["gnss"]["engine"]["ambiguities"] == "carried"
 
 
 def test_the_mounting_of_an_inertial_unit_reaches_the_localizer(drive: DriveInputs, tmp_path: Path) -> None:
