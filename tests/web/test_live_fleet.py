@@ -110,7 +110,14 @@ def map_changes(**changed: object) -> MapChanges:
         everywhere=np.array([0], np.uint8), latitude_rad=latitude_rad + 4e-6, longitude_rad=longitude_rad,
         shift_m=np.array([0.06], f4), share=np.array([0.75], f4), surfaces=np.array([40], i4),
     )  # fmt: skip
-    fields = {"status": "known", "map_version": 4, "held": held, "published": published, "alarms": alarms}
+    fields = {
+        "status": "known",
+        "map_version": 4,
+        "reference_sha256": "a" * 64,
+        "held": held,
+        "published": published,
+        "alarms": alarms,
+    }
     return MapChanges(**{"time_ns": SystemClock().now_ns()} | fields | changed)
 
 
@@ -218,6 +225,7 @@ def test_on_a_phone_a_published_change_is_rolled_back_and_texts_of_others_stay_t
             assert page.locator("dialog.decision [role=alert]").text_content() == hostile
         (decision,) = decisions
         assert (decision.action, decision.map_version) == ("roll_back", 3)
+        assert decision.reference_sha256 == "a" * 64
         assert (decision.who, decision.why) == ("Ann", "a ferry was mapped")
         assert "409" in shown.complaints.pop()  # of the browser itself
         with answering(endpoint, recorded):

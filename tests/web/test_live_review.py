@@ -201,6 +201,7 @@ def small_cloud(folder: Path, operator: Path, operators: Path) -> Iterator[tuple
             rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
             ReviewFolder(folder / "cloud/releases").apply(Decisions(surfaces=rows), CLOCK.now_ns())
             address = served_address(process).partition("/?")[0]
+            REFERENCE["reference_sha256"] = read_release(folder / "survey").root.manifest_sha256
             cookie = {"Cookie": f"camber_live={TOKEN}"}
             with connect(address.replace("http", "ws") + "/stream", additional_headers=cookie) as stream:
                 yield address, json.loads(stream.recv(20.0))["review"]
@@ -208,7 +209,7 @@ def small_cloud(folder: Path, operator: Path, operators: Path) -> Iterator[tuple
 
 def post(address: str, body: dict[str, Any] | bytes, **headers: str | None) -> tuple[int, str]:
     """Status code and reason of a request to decide; a header of None is left out."""
-    data = body if isinstance(body, bytes) else json.dumps(body).encode()
+    data = body if isinstance(body, bytes) else json.dumps(REFERENCE | body).encode()
     request = urllib.request.Request(f"{address}/decision", data, method="POST")
     given = {"cookie": f"camber_live={TOKEN}", "origin": address} | headers
     for name, value in given.items():
@@ -222,6 +223,8 @@ def post(address: str, body: dict[str, Any] | bytes, **headers: str | None) -> t
         return error.code, text
 
 
+REFERENCE: dict[str, Any] = {}
+"""What a decision says of the map, once there is one."""
 ACCEPT = {"action": "accept", "surface_id": "4", "offset_m": 0.31, "who": "Ann", "why": "seen on site"}
 
 
@@ -244,6 +247,9 @@ def test_requests_that_are_not_the_operators_are_refused(tmp_path: Path) -> None
             ({"surface_id": "x"}, "not a decision"),
             ({"action": "publish"}, "action"),
             ({"signature": "00"}, "not a decision"),
+            ({"who": "Ann\x1b[2J"}, "printable"),
+            ({"map_version": "8"}, "accept without map_version"),
+            ({"offset_m": 10**400}, "not a decision"),
         ):
             code, text = post(address, ACCEPT | changed, x_camber_review=token)
             assert (code, reason in text) == (400, True), (changed, text)
@@ -251,6 +257,8 @@ def test_requests_that_are_not_the_operators_are_refused(tmp_path: Path) -> None
         assert post(address, b" " * 5000, x_camber_review=token)[0] == 413
         review = ReviewFolder(tmp_path / "cloud/releases")
         assert review.decisions() == []
+        code, text = post(address, ACCEPT | {"reference_sha256": "0" * 64}, x_camber_review=token)
+        assert (code, "another reference" in text) == (409, True), text
         code, text = post(address, ACCEPT | {"offset_m": 0.2}, x_camber_review=token)
         assert (code, "the votes give now" in text) == (409, True), text
         assert post(address, ACCEPT, x_camber_review=token) == (200, "")

@@ -212,6 +212,7 @@ class MapChanges(Message):
     status: Literal["known", "unknown"]
     reason: Text = ""
     map_version: Count | None = None
+    reference_sha256: Sha256 | None = Field(None, description="manifest of the map's reference")
     held: HeldChanges | None = None
     pending: HeldChanges | None = Field(None, description="those that wait for more votes")
     published: PublishedChanges | None = None
@@ -265,6 +266,7 @@ class MapDecision(Message):
     map_version: Count | None = Field(
         None, description="release whose corrections come again, with `roll_back`"
     )
+    reference_sha256: Sha256 = Field(description="manifest of the reference of the map that is decided on")
     who: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
     why: Annotated[str, Field(min_length=1, max_length=400), AfterValidator(_printable)]
     key_id: Name | None = Field(None, description="which key signed; None: unsigned")
@@ -284,13 +286,16 @@ class MapDecision(Message):
 
 def decision_bytes(decision: MapDecision) -> bytes:
     """What the signature of a decision covers."""
-    names = ("action", "surface_id", "offset_m", "map_version", "who", "why", "time_ns")
+    names = ("action", "surface_id", "offset_m", "map_version", "reference_sha256", "who", "why", "time_ns")
     values = [getattr(decision, name) for name in names]
     return f"camber decision 1\n{json.dumps(values, ensure_ascii=False, separators=(',', ':'))}\n".encode()
 
 
 class MapDecisionReceipt(Message):
-    """Sent after the decision is on the disk, or why it was refused."""
+    """Sent after the decision is on the disk, or why it is not.
 
-    status: Literal["recorded", "refused"]
+    `unrecorded`: carried out, but the record could not be written. `elsewhere`: it is on the map of another worker.
+    """
+
+    status: Literal["recorded", "unrecorded", "refused", "elsewhere"]
     reason: Text = ""

@@ -122,10 +122,10 @@ def changes_as_json(replies: Sequence[MapChanges | QueryFailed], names: Mapping[
         "problem": problem,
         "left_out": sum(reply.left_out for reply in known),
         "map_version": max((reply.map_version or 0 for reply in known), default=0),
-        "held": [_with_reason(row) for reply in known for row in _rows_of(reply.held, names)],
-        "pending": [_with_reason(row) for reply in known for row in _rows_of(reply.pending, names)],
-        "published": [row for reply in known for row in _rows_of(reply.published, names)],
-        "alarms": [row for reply in known for row in _rows_of(reply.alarms, names)],
+        "held": [_with_reason(row) for reply in known for row in _rows_of(reply.held, names, reply)],
+        "pending": [_with_reason(row) for reply in known for row in _rows_of(reply.pending, names, reply)],
+        "published": [row for reply in known for row in _rows_of(reply.published, names, reply)],
+        "alarms": [row for reply in known for row in _rows_of(reply.alarms, names, reply)],
     }
 
 
@@ -134,7 +134,7 @@ def _with_reason(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rows_of(
-    columns: HeldChanges | PublishedChanges | RegionAlarms | None, names: Mapping[int, str]
+    columns: HeldChanges | PublishedChanges | RegionAlarms | None, names: Mapping[int, str], reply: MapChanges
 ) -> list[dict[str, Any]]:
     """One table's rows by column; places are `lat` and `lon` in degrees, ids are texts."""
     if columns is None:
@@ -146,4 +146,5 @@ def _rows_of(
         values["road"] = [road_text(link_id, names) for link_id in values["link_id"]]
     for name in {"surface_id", "link_id"} & values.keys():
         values[name] = [str(value) for value in values[name]]  # JSON has 53 bits
+    values["reference_sha256"] = [reply.reference_sha256] * len(values["lat"])  # a decision names the map
     return [dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)]

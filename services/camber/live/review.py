@@ -73,7 +73,8 @@ class MapReview:
         receipts = [reply for reply in replies if isinstance(reply, MapDecisionReceipt)]
         if any(receipt.status == "recorded" for receipt in receipts):
             return Answer(200, {"status": "recorded"})
-        reasons = [receipt.reason for receipt in receipts] or [str(reply) for reply in replies]
+        meant = [receipt for receipt in receipts if receipt.status != "elsewhere"]
+        reasons = [receipt.reason for receipt in meant or receipts] or [str(reply) for reply in replies]
         return Answer(409 if receipts else 503, {"reason": "; ".join(reasons)})
 
     def votes(self, surface_id: int) -> Answer:

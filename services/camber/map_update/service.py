@@ -19,6 +19,7 @@ from camber.map_update.fusion.publication_decision import DECISIONS, REASONS
 from camber.map_update.fusion.votes import check_secret
 from camber.map_update.queue.queue_messages import QueuedContribution, QueueError
 from camber.map_update.release.fusion_cycle import FusionCycle, FusionDecision, IngestResult
+from camber.map_update.release.operator_decisions import UnrecordedError
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.shards import WORLD, Shards
@@ -278,16 +279,21 @@ class MapUpdateService(Service[MapUpdateSettings]):
     def _map_decision(self, decision: MapDecision) -> MapDecisionReceipt:
         """Record an operator's decision, or say why not."""
         now_ns, cycle = self.bus.now_ns(), self._cycle
-        reason = "nothing is fused here"
-        if cycle is not None:
-            try:
-                cycle.carry_out(decision, now_ns)
-            except (ReleaseError, OSError) as error:
-                reason = str(error)
-            else:
-                self.bus.count(f"operator.{decision.action}")
-                self.bus.wake()
-                return MapDecisionReceipt(time_ns=now_ns, status="recorded")
+        if cycle is None or not cycle.is_of_this_map(decision):
+            reason = "nothing is fused here" if cycle is None else "the map here has another reference"
+            return MapDecisionReceipt(time_ns=now_ns, status="elsewhere", reason=reason)
+        try:
+            cycle.carry_out(decision, now_ns)
+        except UnrecordedError as error:
+            self.bus.issue("decision_refused", str(error))
+            self.bus.wake()
+            return MapDecisionReceipt(time_ns=now_ns, status="unrecorded", reason=str(error)[:512])
+        except (ReleaseError, OSError) as error:
+            reason = str(error)
+        else:
+            self.bus.count(f"operator.{decision.action}")
+            self.bus.wake()
+            return MapDecisionReceipt(time_ns=now_ns, status="recorded")
         self.bus.count("refused.decision")
         self.bus.issue("decision_refused", f"{decision.action}: {reason}")
         return MapDecisionReceipt(time_ns=now_ns, status="refused", reason=reason[:512])

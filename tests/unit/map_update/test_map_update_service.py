@@ -10,6 +10,7 @@ from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import FusionStep
+from camber.road_map.release import open_release
 from camber.runtime.uploads.received_upload import ReceivedUpload
 from camber.schemas.fleet import MapChangesRequest, MapDecision, MapVotesRequest
 from support.contributions import NOW_NS, batch
@@ -167,13 +168,19 @@ def test_changes_of_the_map_are_answered_after_the_first_fusion_and_by_one_that_
 def test_a_decision_is_refused_where_no_operator_has_a_key(tmp_path, bus):
     write(tmp_path / "survey", [surface(5)])
     decision = MapDecision(
-        time_ns=bus.time_ns, action="accept", surface_id=5, offset_m=0.3, who="ann", why="seen on site"
-    )
+        time_ns=bus.time_ns, action="accept", surface_id=5, offset_m=0.3, who="ann", why="seen on site",
+        reference_sha256=open_release(tmp_path / "survey").root.manifest_sha256,
+    )  # fmt: skip
     settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
     with closing(MapUpdateService(settings, bus)) as service:
         (receipt,) = service.answers()["map_decision"]([decision])
         assert (receipt.status, "operator_keys" in receipt.reason) == ("refused", True)
         assert "ann" not in bus.text("decision_refused")
+        count = len(bus.issues)
+        (receipt,) = service.answers()["map_decision"](
+            [decision.model_copy(update={"reference_sha256": "0" * 64})]
+        )
+        assert (receipt.status, len(bus.issues)) == ("elsewhere", count)
         (votes,) = service.answers()["map_votes"]([MapVotesRequest(time_ns=bus.time_ns, surface_id=5)])
         assert (votes.status, votes.day.tolist()) == ("known", [])
     bad = MapUpdateSettings(

@@ -82,7 +82,7 @@ export class ChangeDetail {
     try {
       const reply = await fetch("decision", {
         method: "POST", headers: { "content-type": "application/json", "x-camber-review": this.store.greeting.review },
-        body: JSON.stringify({ action, ...what, ...by }), signal: AbortSignal.timeout(LATE_MS),
+        body: JSON.stringify({ action, reference_sha256: row.reference_sha256, ...what, ...by }), signal: AbortSignal.timeout(LATE_MS),
       });
       return reply.ok ? "" : (await reply.json()).reason || `refused (${reply.status})`;
     } catch { return "camber live does not answer; look whether the decision is recorded before you repeat it"; }

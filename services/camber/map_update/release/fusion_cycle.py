@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.admission import KnownRoads, Refusal, check_roads
 from camber.map_update.contribution import Contribution
-from camber.map_update.fusion.correction_rows import CORRECTION, Corrections
+from camber.map_update.fusion.correction_rows import CORRECTION, NONE, Corrections
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication_decision import Decisions
 from camber.map_update.fusion.votes import merge_votes
 from camber.map_update.release.map_changes import map_changes, votes_by_day
 from camber.map_update.release.operator_decisions import decide, roll_back
-from camber.map_update.release.release_builder import ReleaseBuilder
+from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of
 from camber.map_update.release.review import ReviewFolder
 from camber.map_update.stores.store import FusionStep, ObservationPage, Store
 from camber.road_map.operator_keys import OperatorKeys
@@ -75,7 +75,8 @@ class FusionCycle:
         self._datum = builder.reference.manifest.datum
         self._every_ns, self._most_records = round(every_s * 1e9), most_records
         self._operators = operators
-        self._review = ReviewFolder(builder.folder, operators)
+        reference = builder.reference.root.manifest_sha256
+        self._review = ReviewFolder(builder.folder, operators, reference=reference)
         self._review.publish_operators()
         self._versions = builder.versions_of_reference()
         self._known_roads = KnownRoads(
@@ -101,9 +102,7 @@ class FusionCycle:
         self._due_ns = now_ns + self._every_ns
         if self._decided_state is not None and self._decided_state == self._external_state():
             return None
-        result = self.decide(now_ns)
-        self._decided_state = self._external_state()
-        return result
+        return self.decide(now_ns)
 
     def ingest_votes(self, now_ns: int) -> IngestResult:
         """Make votes of at most about `most_records` observations; an empty result: none are left."""
@@ -129,20 +128,26 @@ class FusionCycle:
     def decide(self, now_ns: int) -> FusionDecision:
         """Decide on all surfaces with votes, and make the next release if anything changed.
 
-        The first release is always made: the reference itself.
+        The first release is always made: the reference itself. OvertakenError if another was made meanwhile.
         """
-        before = self._builder.corrections()
+        current = self._builder.current()
+        before = NONE if current is None else corrections_of(current.source, current.manifest)
         votes = merge_votes(self._store.votes_of())
         automatic = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
-        decisions = self._review.apply(automatic, now_ns, self._fusion.neighbourhood)
-        current = self._builder.current()
-        root = self._builder.build(corrections_after(before, decisions), time_ns=now_ns)
+        previous = None if current is None else current.root
+        with (
+            self._review.locked()
+        ):  # nobody decides between what is applied here and what is known to be applied
+            decisions = self._review.apply(automatic, now_ns, self._fusion.neighbourhood)
+            corrections = corrections_after(before, decisions)
+            root = self._builder.build(corrections, time_ns=now_ns, previous=previous)
+            self._decided_state = self._external_state()
         self._versions.add(root.map_version)
         return FusionDecision(
             decisions=decisions,
             corrections=self._builder.corrections(),
             root=root,
-            is_new=current is None or root != current.root,
+            is_new=root != previous,
         )
 
     def refusal(self, contribution: Contribution) -> Refusal | None:
@@ -155,9 +160,14 @@ class FusionCycle:
             decided.decisions,
             decided.corrections,
             self._fusion.neighbourhood,
-            map_version=decided.root.map_version,
+            root=decided.root,
+            reference_sha256=self._builder.reference.root.manifest_sha256,
             time_ns=now_ns,
         )
+
+    def is_of_this_map(self, decision: MapDecision) -> bool:
+        """Return whether a decision is on the map of this worker."""
+        return decision.reference_sha256 == self._builder.reference.root.manifest_sha256
 
     def carry_out(self, decision: MapDecision, now_ns: int) -> None:
         """Record an operator's decision and make the next step due; ReleaseError for one that is refused."""
@@ -169,7 +179,7 @@ class FusionCycle:
             builder, operators = self._builder, self._operators
             roll_back(self._review, decision, builder, time_ns=now_ns, operators=operators)
         else:
-            decide(self._review, [decision], self._operators)
+            decide(self._review, [decision], now_ns=now_ns, operators=self._operators)
         self._due_ns = None
 
     def votes_over_time(self, surface_id: int, now_ns: int) -> MapVotes:
@@ -179,7 +189,7 @@ class FusionCycle:
 
     def _external_state(self) -> tuple[object, object]:
         """Return what others may change: the release in force (by a roll-back) and the reviewers' decisions."""
-        return ReleaseFolder(self._builder.folder).stamp(), len(self._review.decisions())
+        return ReleaseFolder(self._builder.folder).stamp(), self._review.size()
 
     def _has_comparable_datum(self, page: ObservationPage) -> NDArray[np.bool_]:
         """Return which observations (n,) are in a datum that is comparable with the reference's."""

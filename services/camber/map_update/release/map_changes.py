@@ -17,6 +17,7 @@ from camber.schemas.fleet import (
     PublishedChanges,
     RegionAlarms,
 )
+from camber.schemas.road import ReleaseRoot
 
 MOST_ROWS = 1000
 """Of a kind. Chosen: 64, 64, 52 and 29 bytes a row stay within a reply of 256 kB."""
@@ -29,7 +30,8 @@ def map_changes(
     corrections: Corrections,
     neighbourhood: SurfaceNeighbourhood,
     *,
-    map_version: int,
+    root: ReleaseRoot,
+    reference_sha256: str,
     time_ns: int,
 ) -> MapChanges:
     """The held ones by size, the published ones newest first; what has no room is counted.
@@ -47,7 +49,8 @@ def map_changes(
     return MapChanges(
         time_ns=time_ns,
         status="known",
-        map_version=map_version,
+        map_version=root.map_version,
+        reference_sha256=reference_sha256,
         held=_held(parts[0][:MOST_ROWS], neighbourhood),
         published=_published(parts[1][:MOST_ROWS], neighbourhood),
         pending=_held(parts[2][:MOST_ROWS], neighbourhood),

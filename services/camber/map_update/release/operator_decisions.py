@@ -1,7 +1,8 @@
 """Decisions of operators on changes of the map, for the command line and the bus alike: checked, recorded, carried out.
 
-A decision is refused where it has no valid signature of an operator (if operators have keys), where its change is not
-held, where the votes give another height by now, and where the change was decided on before. What is recorded is on
+A decision is refused where it has no valid signature of an operator (if operators have keys), where it is minutes old
+or not newer than the last one, where its change is not held, where the votes give another height by now, and where the
+change was decided on before. What is recorded is on
 the disk when `decide` returns. The fusion's next cycle applies what was accepted and rejected; going back makes a
 release at once.
 """
@@ -28,6 +29,8 @@ from camber.road_map.road_columns import ReleaseError
 from camber.schemas.fleet import MapDecision
 from camber.schemas.road import ReleaseRoot
 
+_MOST_AGE_NS = 300 * 10**9  # chosen: a clock of an operator may differ by minutes, an old decision is refused
+
 
 class RolledBack(NamedTuple):
     """The release that has the corrections of an earlier one, and how many corrections it withdrew."""
@@ -36,8 +39,16 @@ class RolledBack(NamedTuple):
     withdrawn: int
 
 
+class UnrecordedError(ReleaseError):
+    """A release was made as decided, but the record could not be written."""
+
+
 def decide(
-    review: ReviewFolder, decisions: Sequence[MapDecision], operators: OperatorKeys | None = None
+    review: ReviewFolder,
+    decisions: Sequence[MapDecision],
+    *,
+    now_ns: int,
+    operators: OperatorKeys | None = None,
 ) -> None:
     """Record decisions to accept or reject changes: all, or none and a ReleaseError. OSError of the disk."""
     surfaces = [decision.surface_id for decision in decisions]
@@ -49,6 +60,7 @@ def decide(
         for decision in decisions:
             if operators is not None:
                 operators.check(decision)
+            _check_time(decision, now_ns)
             _check_change(decision, held, newest)
         review.append([RecordLine(decision) for decision in decisions])
 
@@ -61,20 +73,34 @@ def roll_back(
     time_ns: int,
     operators: OperatorKeys | None = None,
 ) -> RolledBack:
-    """Record a decision to go back with what it withdraws, so that the same votes do not publish it again, and make
-    the release. ReleaseError for one that is refused."""
+    """Make the release and record the decision with what it withdraws, so that the same votes do not publish it again.
+
+    ReleaseError for one that is refused: nothing was done. UnrecordedError where the release is in force.
+    """
     if decision.action != "roll_back" or decision.map_version is None:
         raise ReleaseError("decision", "map_version", "a version to go back to")
     with review.locked():
         if operators is not None:
             operators.check(decision)
-        if decision in review.decisions():
-            raise ReleaseError("decision", "roll_back", "one that was not made before")
+        _check_time(decision, time_ns)
+        before = [each.time_ns for each in review.decisions() if each.action == "roll_back"]
+        if before:
+            _check_newer(decision, before[-1])
         target = _corrections_at(builder, decision.map_version)
         rows = other_offsets(builder.corrections(), target)[["surface_id", "offset_m"]]
         withdrawn = tuple((int(surface_id), float(offset_m)) for surface_id, offset_m in rows)
-        review.append([RecordLine(decision, withdrawn)])
-    return RolledBack(builder.roll_back(decision.map_version, time_ns=time_ns), len(withdrawn))
+        line = RecordLine(decision, withdrawn)
+        review.with_room([line])
+        root = builder.roll_back(decision.map_version, time_ns=time_ns)
+        try:
+            review.append([line])
+        except (OSError, ReleaseError) as error:
+            expected = (
+                f"a line on it: version {root.map_version} is in force, but is not recorded, and the "
+                f"fusion may publish again what it withdrew ({error})"
+            )
+            raise UnrecordedError(str(builder.folder), "roll_back", expected) from None
+    return RolledBack(root, len(withdrawn))
 
 
 def other_offsets(mine: Corrections, theirs: Corrections, *, gone: bool = False) -> Corrections:
@@ -89,6 +115,20 @@ def other_offsets(mine: Corrections, theirs: Corrections, *, gone: bool = False)
     return rows
 
 
+def _check_time(decision: MapDecision, now_ns: int) -> None:
+    """Raise ReleaseError for an old decision: it may be one that was refused, and is sent again."""
+    if abs(now_ns - decision.time_ns) > _MOST_AGE_NS:
+        expected = f"within {_MOST_AGE_NS // 10**9} s of {now_ns}, the time here"
+        raise ReleaseError("decision", "time_ns", expected, actual=str(decision.time_ns))
+
+
+def _check_newer(decision: MapDecision, before_ns: int) -> None:
+    """Raise ReleaseError unless it is newer than the last one: one that is recorded cannot be sent again."""
+    if decision.time_ns <= before_ns:
+        expected = f"after {before_ns}, the time of the last decision"
+        raise ReleaseError("decision", "time_ns", expected, actual=str(decision.time_ns))
+
+
 def _check_change(
     decision: MapDecision, held: dict[int, HeldChange], newest: dict[int, SurfaceOutcome]
 ) -> None:
@@ -101,6 +141,8 @@ def _check_change(
     if before is not None and is_same_change(before.offset_m, offset_m, error_m):
         decided = f"decided already: {before.action} by {before.decision.who}"
         raise ReleaseError("decision", "surface", "one without a decision", actual=f"{surface_id}, {decided}")
+    if before is not None:
+        _check_newer(decision, before.decision.time_ns)
     if change is None:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(surface_id))
     if not is_same_change(offset_m, change.offset_m, error_m):

@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
 from camber.map_update.fusion.correction_rows import NONE, Corrections, from_bytes, normalize, to_bytes
+from camber.map_update.stores.store import OvertakenError
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.road_map.release_writer import StoredBlob, TileKey, write_tiles_and_manifest
@@ -67,13 +68,21 @@ class ReleaseBuilder:
         current = self.current()
         return NONE if current is None else corrections_of(current.source, current.manifest)
 
-    def build(self, corrections: Corrections, *, time_ns: int) -> ReleaseRoot:
+    def build(
+        self, corrections: Corrections, *, time_ns: int, previous: ReleaseRoot | None = None
+    ) -> ReleaseRoot:
         """Return the release with these corrections: a new one, unless the newest has the same.
 
+        OvertakenError if `previous`, on which they are based, is given and no longer in force.
         Only tiles with a changed correction get other bytes. The same reference, folder and arguments give the same
         bytes.
         """
         with self._locked():
+            current = self.current()
+            if previous is not None and (current is None or current.root != previous):
+                raise OvertakenError(
+                    f"{self.folder}: another release than {previous.map_version} is in force"
+                )
             return self._build(corrections, time_ns)
 
     def roll_back(self, map_version: int, *, time_ns: int) -> ReleaseRoot:

@@ -42,7 +42,7 @@ from camber.schemas.refused_field import first_refused
 _SAME_M = 0.01
 _SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
-_MOST_BYTES = 64 << 20  # chosen: a quarter of a million decisions
+_MOST_BYTES = 64 << 20  # chosen: over a hundred thousand decisions
 _MOST_KEYS_BYTES = 1 << 20  # chosen: ten thousand operators
 MOST_PENDING = 1000
 """Chosen: more than a person looks through; those nearest to publication are kept."""
@@ -139,11 +139,14 @@ class _Coded(BaseModel, strict=True, allow_inf_nan=False):
 class ReviewFolder:
     """The folder `review` of a folder of releases. Raises ReleaseError for invalid files, OSError of the disk.
 
-    With `operators` only what one of them accepted is published.
+    With `operators` only what one of them accepted is published, with `reference` (its manifest) only what was accepted
+    on this map.
     """
 
-    def __init__(self, releases: Path, operators: OperatorKeys | None = None) -> None:
-        self._operators = operators
+    def __init__(
+        self, releases: Path, operators: OperatorKeys | None = None, *, reference: str | None = None
+    ) -> None:
+        self._operators, self._reference = operators, reference
         self._published = releases / "review" / "operators.json"
         self._verified: dict[bytes, bool] = {}
         self._held = releases / "review" / "held.json"
@@ -170,15 +173,31 @@ class ReviewFolder:
         """Return all decisions in order."""
         return [line.decision for line in self.lines()]
 
+    def size(self) -> int:
+        """Return the bytes of the record."""
+        try:
+            return self._decisions.stat().st_size
+        except FileNotFoundError:
+            return 0
+
+    def with_room(self, lines: Sequence[RecordLine]) -> bytes:
+        """Return the lines as text; ReleaseError where the record has no room for them."""
+        text = b"".join(line.to_json() for line in lines)
+        if self.size() + len(text) > _MOST_BYTES:
+            expected = f"at most {_MOST_BYTES} bytes with {len(text)} more"
+            raise ReleaseError(str(self._decisions), "size", expected, actual=f"{self.size()}")
+        return text
+
     def append(self, lines: Sequence[RecordLine]) -> None:
-        """Append to the record; the lines are on the disk when this returns."""
+        """Append to the record; the lines are on the disk when this returns. ReleaseError where it has no room."""
+        text = self.with_room(lines)
         self._decisions.parent.mkdir(parents=True, exist_ok=True)
         with self._decisions.open("a+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             if file.seek(0, os.SEEK_END):
                 file.seek(0)
                 file.truncate(file.read().rfind(b"\n") + 1)  # remove the incomplete line of a killed writer
-            file.write(b"".join(line.to_json() for line in lines))
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
 
@@ -240,7 +259,12 @@ class ReviewFolder:
         }
 
     def _may_accept(self, line: RecordLine) -> bool:
-        """Return whether an operator signed this very line, where operators have keys; each is verified once."""
+        """Return whether it is on this map, and where operators have keys, one signed this very line.
+
+        Each is verified once.
+        """
+        if self._reference not in (None, line.decision.reference_sha256):
+            return False
         if self._operators is None:
             return True
         text = line.to_json()

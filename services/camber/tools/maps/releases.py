@@ -81,7 +81,9 @@ def _roll_back(args: argparse.Namespace) -> int:
     key = load_signing_key(args.signing_key)
     builder = ReleaseBuilder(args.path, reference_in(args.path), signing_key=key)
     args.why = args.reason
-    decision = decision_of(args, "roll_back", map_version=args.roll_back)
+    decision = decision_of(
+        args, "roll_back", map_version=args.roll_back, reference_sha256=builder.reference.root.manifest_sha256
+    )
     review = ReviewFolder(args.path)
     operators = review.published_operators()
     done = roll_back(review, decision, builder, time_ns=decision.time_ns, operators=operators)

@@ -20,6 +20,7 @@ from pydantic import ValidationError
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_update.release.operator_decisions import decide
+from camber.map_update.release.release_builder import reference_in
 from camber.map_update.release.review import HeldChange, RecordLine, ReviewFolder
 from camber.road_map.operator_keys import sign_decision
 from camber.road_map.release_files import write_file
@@ -87,11 +88,14 @@ def _carry_out(args: argparse.Namespace) -> int | str:
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     action: ReviewAction = "accept" if args.accept else "reject"
+    reference = reference_in(args.releases).root.manifest_sha256
     decisions = [
-        decision_of(args, action, surface_id=number, offset_m=held[number].offset_m)
+        decision_of(
+            args, action, reference_sha256=reference, surface_id=number, offset_m=held[number].offset_m
+        )
         for number in dict.fromkeys(chosen)
     ]
-    decide(review, decisions, review.published_operators())
+    decide(review, decisions, now_ns=SystemClock().now_ns(), operators=review.published_operators())
     return f"{len(chosen)} changes: {action}; map_update applies it in its next cycle"
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,13 +259,15 @@ def test_the_next_cycle_applies_accepted_changes_and_roll_backs(tmp_path: Path, 
     all_steps(cycle, NOW_NS)
     review = ReviewFolder(tmp_path / "out")
     assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
-    by = {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS}
+    by: Any = {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS}
+    by["reference_sha256"] = open_release(tmp_path / "in").root.manifest_sha256
     decide(
         review,
         [
             MapDecision(action="accept", surface_id=held.surface_id, offset_m=held.offset_m, **by)
             for held in review.held()
         ],
+        now_ns=NOW_NS,
     )
     published = cycle.step(NOW_NS + 2 * 10**9)
     assert isinstance(published, FusionDecision)
@@ -277,3 +281,65 @@ def test_the_next_cycle_applies_accepted_changes_and_roll_backs(tmp_path: Path, 
     assert isinstance(again, FusionDecision)
     assert again.root.map_version == published.root.map_version + 1
     assert np.abs(raised_m(tmp_path)).max() == 0.0
+
+
+def held_and_by(folder: Path, store: Store) -> tuple[FusionCycle, dict[str, Any]]:
+    """A cycle with four changes that are held, and what decisions have in common."""
+    committed(store, *[drive(vehicle, day, raised_m=0.7) for day in (1, 3, 5) for vehicle in range(12)])
+    cycle = fusion_cycle(folder, store, every_s=1.0)
+    all_steps(cycle, NOW_NS)
+    digest = open_release(folder / "in").root.manifest_sha256
+    return cycle, {"who": "ann", "why": "a new bridge", "time_ns": NOW_NS, "reference_sha256": digest}
+
+
+def accepted(folder: Path, by: dict[str, Any]) -> list[MapDecision]:
+    return [
+        MapDecision(action="accept", surface_id=held.surface_id, offset_m=held.offset_m, **by)
+        for held in ReviewFolder(folder / "out").held()
+    ]
+
+
+def test_going_back_while_the_fusion_decides_is_not_undone(
+    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cycle, by = held_and_by(tmp_path, store)
+    review = ReviewFolder(tmp_path / "out")
+    decide(review, accepted(tmp_path, by), now_ns=NOW_NS)
+    cycle.step(NOW_NS + 2 * 10**9)
+    builder = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
+    back = MapDecision(action="roll_back", map_version=8, **by)
+    fusion_decide = Fusion.decide
+
+    def meanwhile(*given: Any) -> Any:
+        monkeypatch.setattr(Fusion, "decide", fusion_decide)
+        roll_back(review, back, builder, time_ns=NOW_NS)
+        return fusion_decide(*given)
+
+    monkeypatch.setattr(Fusion, "decide", meanwhile)
+    committed(store, drive(3, 5, raised_m=0.7), drive(12, 5, raised_m=0.7))
+    with pytest.raises(OvertakenError, match="another release"):
+        all_steps(cycle, NOW_NS + 4 * 10**9)
+    all_steps(cycle, NOW_NS + 9 * 10**9)
+    assert np.abs(raised_m(tmp_path)).max() == 0.0
+
+
+def test_a_decision_recorded_during_a_cycle_is_applied_in_the_next(
+    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cycle, by = held_and_by(tmp_path, store)
+    decisions, build = accepted(tmp_path, by), ReleaseBuilder.build
+    deciding = Thread(
+        target=decide, args=(ReviewFolder(tmp_path / "out"), decisions), kwargs={"now_ns": NOW_NS}
+    )
+
+    def meanwhile(*given: Any, **named: Any) -> Any:
+        deciding.start()
+        deciding.join(0.5)
+        return build(*given, **named)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ReleaseBuilder, "build", meanwhile)
+        cycle.decide(NOW_NS)
+    deciding.join()
+    assert isinstance(cycle.step(NOW_NS + 2 * 10**9), FusionDecision)
+    assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)

@@ -17,9 +17,11 @@ from camber.map_update.release.map_changes import MOST_ROWS, map_changes, votes_
 from camber.road_map.release import open_release
 from camber.schemas.codec import encode
 from camber.schemas.fleet import HELD_REASONS, HeldChanges, MapChanges, PublishedChanges, RegionAlarms
+from camber.schemas.road import ReleaseRoot
 from support.small_map import MADE_NS, at, surface, write
 
 SURFACES = 6
+ROOT = ReleaseRoot(time_ns=MADE_NS, region="town", map_version=9, manifest_sha256="b" * 64)
 
 
 @pytest.fixture
@@ -32,7 +34,12 @@ def changes_of(
     neighbourhood: SurfaceNeighbourhood, decided: np.ndarray, corrected: np.ndarray, alarms: np.ndarray
 ) -> MapChanges:
     return map_changes(
-        Decisions(surfaces=decided, alarms=alarms), corrected, neighbourhood, map_version=9, time_ns=MADE_NS
+        Decisions(surfaces=decided, alarms=alarms),
+        corrected,
+        neighbourhood,
+        root=ROOT,
+        reference_sha256="a" * 64,
+        time_ns=MADE_NS,
     )
 
 

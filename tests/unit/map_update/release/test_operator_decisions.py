@@ -11,7 +11,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from pydantic import ValidationError
 
 from camber.map_update.fusion.publication_decision import DECISION, DECISIONS, Decisions
-from camber.map_update.release.operator_decisions import decide, roll_back
+from camber.map_update.release.operator_decisions import UnrecordedError, decide, roll_back
+from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.release.review import RecordLine, ReviewFolder
 from camber.road_map.operator_keys import OperatorKeys, load_operator_keys, sign_decision
 from camber.road_map.road_columns import ReleaseError
@@ -19,6 +20,10 @@ from camber.road_map.signing_keys import key_id
 from camber.schemas.fleet import MapDecision
 from support.release_world import KEY, OTHER_KEY, making, offsets, public_pem
 from support.small_map import MADE_NS
+
+HERE, ELSEWHERE = "a" * 64, "b" * 64
+"""References."""
+LATER_NS = MADE_NS + 1
 
 
 @pytest.fixture
@@ -38,8 +43,19 @@ def held(folder: Path, offset_m: float = 0.31) -> Decisions:
 
 def decision(key: Ed25519PrivateKey | None = KEY, **changed: Any) -> MapDecision:
     values = {"action": "accept", "surface_id": 4, "offset_m": 0.31, "who": "ann", "why": "seen on site"}
-    made = MapDecision(time_ns=MADE_NS, **values | changed)
+    fixed: Any = {"time_ns": MADE_NS, "reference_sha256": HERE}
+    made = MapDecision(**fixed | values | changed)
     return made if key is None else sign_decision(made, key)
+
+
+BACK = decision(action="roll_back", surface_id=None, offset_m=None, map_version=9)
+
+
+def three_releases(folder: Path) -> ReleaseBuilder:
+    builder = making(folder)
+    for step, rows in enumerate((offsets(), offsets(s3=0.05), offsets(s3=0.08, s5=-0.04))):
+        builder.build(rows, time_ns=MADE_NS + step)
+    return builder
 
 
 def result(review: ReviewFolder, decisions: Decisions) -> str:
@@ -50,7 +66,7 @@ def test_a_signed_decision_applies_and_the_record_shows_by_whom_and_why(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
     decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
-    decide(review, [decision()], operators)
+    decide(review, [decision()], now_ns=MADE_NS, operators=operators)
     assert result(review, decisions) == "publish"
     (recorded,) = review.decisions()
     assert (recorded.who, recorded.why, recorded.action) == ("ann", "seen on site", "accept")
@@ -73,7 +89,7 @@ def test_what_is_refused_is_not_recorded(
     held(tmp_path)
     review = ReviewFolder(tmp_path, operators)
     with pytest.raises(ReleaseError, match=refused):
-        decide(review, [decision(**changed)], operators)
+        decide(review, [decision(**changed)], now_ns=MADE_NS, operators=operators)
     assert review.decisions() == []
 
 
@@ -81,7 +97,7 @@ def test_a_decision_changed_after_it_was_signed_is_refused(tmp_path: Path, opera
     held(tmp_path)
     forged = MapDecision(**decision().__dict__ | {"why": "another reason"})
     with pytest.raises(ReleaseError, match="signature"):
-        decide(ReviewFolder(tmp_path), [forged], operators)
+        decide(ReviewFolder(tmp_path), [forged], now_ns=MADE_NS, operators=operators)
 
 
 def test_a_change_is_decided_once_until_the_votes_give_another_height(
@@ -89,12 +105,17 @@ def test_a_change_is_decided_once_until_the_votes_give_another_height(
 ) -> None:
     held(tmp_path)
     review = ReviewFolder(tmp_path, operators)
-    decide(review, [decision()], operators)
+    decide(review, [decision()], now_ns=MADE_NS, operators=operators)
     for again in (decision(), decision(action="reject", who="ben")):
         with pytest.raises(ReleaseError, match="decided already: accept by ann"):
-            decide(review, [again], operators)
+            decide(review, [again], now_ns=MADE_NS, operators=operators)
     held(tmp_path, 0.42)
-    decide(review, [decision(action="reject", offset_m=0.42)], operators)
+    decide(
+        review,
+        [decision(action="reject", offset_m=0.42, time_ns=LATER_NS)],
+        now_ns=MADE_NS,
+        operators=operators,
+    )
     assert [each.action for each in review.decisions()] == ["accept", "reject"]
 
 
@@ -103,7 +124,9 @@ def test_of_several_decisions_none_is_recorded_where_one_is_refused(
 ) -> None:
     held(tmp_path)
     with pytest.raises(ReleaseError, match="one that is held"):
-        decide(ReviewFolder(tmp_path), [decision(), decision(surface_id=9)], operators)
+        decide(
+            ReviewFolder(tmp_path), [decision(), decision(surface_id=9)], now_ns=MADE_NS, operators=operators
+        )
     assert ReviewFolder(tmp_path).decisions() == []
 
 
@@ -136,7 +159,7 @@ def test_a_surface_is_decided_on_once_in_a_list(tmp_path: Path, operators: Opera
     held(tmp_path)
     review = ReviewFolder(tmp_path, operators)
     with pytest.raises(ReleaseError, match="each once"):
-        decide(review, [decision(), decision(action="reject")], operators)
+        decide(review, [decision(), decision(action="reject")], now_ns=MADE_NS, operators=operators)
     assert review.decisions() == []
 
 
@@ -144,7 +167,7 @@ def test_a_signature_counts_only_for_the_line_that_was_signed(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
     decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
-    decide(review, [decision(action="reject")], operators)
+    decide(review, [decision(action="reject")], now_ns=MADE_NS, operators=operators)
     (rejected,) = review.lines()
     record = tmp_path / "review" / "decisions.jsonl"
     forged = MapDecision(**rejected.decision.__dict__ | {"action": "accept"})
@@ -163,7 +186,7 @@ def test_what_was_rejected_stays_so_when_keys_are_set_or_removed(
     for key, now in ((None, operators), (KEY, others)):
         folder = tmp_path / f"{key}"
         decisions = held(folder)
-        decide(ReviewFolder(folder), [decision(key, action="reject")])
+        decide(ReviewFolder(folder), [decision(key, action="reject")], now_ns=MADE_NS)
         assert result(ReviewFolder(folder, now), decisions) == "nothing"
         decisions.surfaces["decision"] = DECISIONS.index("publish")
         assert result(ReviewFolder(folder, now), decisions) == "nothing"
@@ -181,7 +204,7 @@ def test_unsigned_lines_of_the_record_publish_nothing_where_operators_have_keys(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
     decisions = held(tmp_path)
-    decide(ReviewFolder(tmp_path), [decision(None)])
+    decide(ReviewFolder(tmp_path), [decision(None)], now_ns=MADE_NS)
     assert result(ReviewFolder(tmp_path), decisions) == "publish"
     assert result(ReviewFolder(tmp_path, operators), decisions) == "hold"
 
@@ -189,11 +212,8 @@ def test_unsigned_lines_of_the_record_publish_nothing_where_operators_have_keys(
 def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
     tmp_path: Path, operators: OperatorKeys
 ) -> None:
-    builder = making(tmp_path)
-    for step, rows in enumerate((offsets(), offsets(s3=0.05), offsets(s3=0.08, s5=-0.04))):
-        builder.build(rows, time_ns=MADE_NS + step)
+    builder, back = three_releases(tmp_path), BACK
     review = ReviewFolder(builder.folder, operators)
-    back = decision(action="roll_back", surface_id=None, offset_m=None, map_version=9)
     for refused in (
         decision(
             OTHER_KEY,
@@ -208,11 +228,89 @@ def test_going_back_is_recorded_signed_and_what_it_withdraws_stays_away(
     done = roll_back(review, back, builder, time_ns=MADE_NS + 9, operators=operators)
     assert (done.root.map_version, done.withdrawn) == (11, 2)
     assert builder.corrections()["surface_id"].tolist() == [3]
-    with pytest.raises(ReleaseError, match="not made before"):
+    with pytest.raises(ReleaseError, match="the time of the last decision"):
         roll_back(review, back, builder, time_ns=MADE_NS + 10, operators=operators)
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
     assert result(review, Decisions(surfaces=rows)) == "nothing"
+
+
+def test_a_decision_cannot_be_sent_again(tmp_path: Path, operators: OperatorKeys) -> None:
+    held(tmp_path)
+    review, accepted = ReviewFolder(tmp_path, operators), decision()
+    decide(review, [accepted], now_ns=MADE_NS, operators=operators)
+    held(tmp_path, 0.42)
+    rejected = decision(action="reject", offset_m=0.42, time_ns=LATER_NS)
+    decide(review, [rejected], now_ns=MADE_NS, operators=operators)
+    decisions = held(tmp_path)
+    with pytest.raises(ReleaseError, match="the time of the last decision"):
+        decide(review, [accepted], now_ns=MADE_NS, operators=operators)
+    assert result(ReviewFolder(tmp_path, operators), decisions) == "hold"
+
+
+@pytest.mark.parametrize("seconds", [-301, 301])
+def test_an_old_decision_is_refused(tmp_path: Path, operators: OperatorKeys, seconds: int) -> None:
+    builder, now_ns = three_releases(tmp_path), MADE_NS + seconds * 10**9
+    held(builder.folder)
+    review = ReviewFolder(builder.folder, operators)
+    with pytest.raises(ReleaseError, match="within 300 s"):
+        decide(review, [decision()], now_ns=now_ns, operators=operators)
+    with pytest.raises(ReleaseError, match="within 300 s"):
+        roll_back(review, BACK, builder, time_ns=now_ns, operators=operators)
+    assert review.decisions() == []
+
+
+def test_what_was_accepted_on_another_map_is_not_published(tmp_path: Path, operators: OperatorKeys) -> None:
+    decisions = held(tmp_path)
+    decide(ReviewFolder(tmp_path), [decision(reference_sha256=ELSEWHERE)], now_ns=MADE_NS)
+    assert result(ReviewFolder(tmp_path, operators, reference=HERE), decisions) == "hold"
+    assert result(ReviewFolder(tmp_path, operators, reference=ELSEWHERE), decisions) == "publish"
+
+
+def test_the_reference_is_signed(operators: OperatorKeys) -> None:
+    with pytest.raises(ReleaseError, match="signature"):
+        operators.check(MapDecision(**decision().__dict__ | {"reference_sha256": ELSEWHERE}))
+
+
+def test_going_back_without_a_release_is_not_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    builder = three_releases(tmp_path)
+    review, before = ReviewFolder(builder.folder), builder.corrections()
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError("No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(builder, "roll_back", full)
+        with pytest.raises(OSError, match="No space"):
+            roll_back(review, BACK, builder, time_ns=MADE_NS)
+    assert review.decisions() == []
+    monkeypatch.setattr(review, "append", full)
+    with pytest.raises(UnrecordedError, match=r"version 11 is in force, but is not recorded.*No space"):
+        roll_back(review, BACK, builder, time_ns=MADE_NS)
+    assert len(builder.corrections()) < len(before)
+
+
+def test_nothing_is_done_where_the_record_has_no_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    builder = three_releases(tmp_path)
+    review, before = ReviewFolder(builder.folder), builder.current()
+    monkeypatch.setattr("camber.map_update.release.review._MOST_BYTES", 100)
+    with pytest.raises(ReleaseError, match=r"decisions\.jsonl: size is '0', expected at most 100 bytes"):
+        roll_back(review, BACK, builder, time_ns=MADE_NS)
+    assert before is not None
+    assert builder.current().root == before.root  # type: ignore[union-attr]
+    assert review.size() == 0
+
+
+def test_a_decision_to_go_back_is_one_line(tmp_path: Path) -> None:
+    withdrawn = tuple((2**61 + k, -0.0123456789) for k in range(100_000))
+    review = ReviewFolder(tmp_path)
+    review.append([RecordLine(BACK, withdrawn)])
+    assert len(review.newest()) == 100_000
+    assert review.size() < 5_000_000
 
 
 def test_a_folder_without_keys_is_refused(tmp_path: Path) -> None:

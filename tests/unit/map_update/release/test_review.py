@@ -29,7 +29,7 @@ def decisions(*rows: tuple[int, Decision, float]) -> Decisions:
 
 
 def review_decision(surface_id: int, action: ReviewAction, offset_m: float) -> RecordLine:
-    by: Any = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS}
+    by: Any = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS, "reference_sha256": "a" * 64}
     return RecordLine(MapDecision(surface_id=surface_id, action=action, offset_m=offset_m, **by))
 
 
@@ -132,7 +132,15 @@ def test_an_incomplete_line_is_no_decision(tmp_path: Path) -> None:
     assert [each.surface_id for each in review.decisions()] == [3, 4]
 
 
-LINE = {"surface_id": 4, "action": "accept", "offset_m": 0.2, "who": "ann", "why": "seen", "time_ns": MADE_NS}
+LINE = {
+    "surface_id": 4,
+    "action": "accept",
+    "offset_m": 0.2,
+    "who": "ann",
+    "why": "seen",
+    "time_ns": MADE_NS,
+    "reference_sha256": "a" * 64,
+}
 
 
 @pytest.mark.parametrize(
