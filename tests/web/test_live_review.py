@@ -34,7 +34,7 @@ from support.small_map import surface, write
 
 pytestmark = pytest.mark.slow
 
-DAYS_AGO = (9, 9, 7, 7, 5)
+DAYS_AGO = (9, 9, 9, 7, 5)
 """When each of the vehicles drove."""
 TOKEN = "0123456789abcdef"
 
@@ -149,7 +149,7 @@ def accept_on_the_map(shown: Any, surface_id: str) -> None:
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     chosen = page.locator("camber-changes section.chosen")
     chosen.wait_for()
-    shown.wait_for("document.querySelectorAll('.votes circle').length > 1")
+    shown.wait_for("document.querySelectorAll('.votes circle').length === 1")
     text = chosen.text_content()
     assert f"surface{surface_id}" in text
     assert f"{len(DAYS_AGO)} vehicles" in text

@@ -241,6 +241,7 @@ class MapVotes(Message):
     offset_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
     low_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
     high_m: Annotated[Float32, ArrayOf("<f4", ("days",))]
+    left_out: Count = Field(0, description="days of one or two vehicles, whose votes are not shown")
 
 
 ReviewAction = Literal["accept", "reject", "roll_back"]

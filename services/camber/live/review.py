@@ -86,7 +86,10 @@ class MapReview:
             reasons = [reply.reason if isinstance(reply, MapVotes) else str(reply) for reply in replies]
             # A browser reports any other code as a failure of the page.
             return Answer(200, {"days": [], "reason": "; ".join(reasons)})
-        return Answer(200, {"days": [row for reply in known for row in _days_of(reply)]})
+        left_out = sum(reply.left_out for reply in known)
+        return Answer(
+            200, {"days": [row for reply in known for row in _days_of(reply)], "left_out": left_out}
+        )
 
     def _ask(self, channel: str, request: MapDecision | MapVotesRequest) -> Sequence[Any]:
         with self._lock:

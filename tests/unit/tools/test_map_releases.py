@@ -101,6 +101,7 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
     assert "one that is held" in output(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
     output(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
     assert "ben: new surface laid" in output(capsys, "review", folder, "--log")
+    assert output(capsys, "review", folder, "--rejected") == "nothing is rejected\n"
     judged = ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS)
     assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
 
@@ -138,6 +139,18 @@ def test_the_nearest_changes_come_first_with_their_places_and_roads(folder: Path
     (_, pending) = output(capsys, "review", folder, "--pending").splitlines()
     assert pending.split()[0] == "5"
     assert pending.endswith("too few days")
+
+
+def test_a_rejected_change_is_listed_and_can_be_accepted(folder: Path, capsys: Any) -> None:
+    rows = np.zeros(1, DECISION)
+    rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
+    for action, listed in (("--reject", "held"), ("--accept", "rejected")):
+        ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS)
+        options = () if listed == "held" else (f"--{listed}",)
+        assert "+0.310 m" in output(capsys, "review", folder, *options)
+        output(capsys, "review", folder, action, 4, "--who", "ben", "--why", "seen on site")
+    judged = ReviewFolder(folder).apply(Decisions(surfaces=rows), MADE_NS)
+    assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
 
 
 def test_where_operators_have_keys_the_command_line_needs_one_of_them(folder: Path, capsys: Any) -> None:

@@ -6,7 +6,7 @@ import { centimetres, votesChart } from "./votes.js";
 const LATE_MS = 8000; // longer than the server waits for map_update
 const ACTIONS = {
   accept: { name: "Accept", title: "Publish this change", done: "Accepted: map_update publishes it in its next cycle." },
-  reject: { name: "Refuse", title: "Do not publish this change", done: "Refused: it is not published while the votes give this height." },
+  reject: { name: "Reject", title: "Do not publish this change", done: "Rejected: it is not published while the votes give this height." },
   roll_back: { name: "Roll back", title: "Go back to the release before this change", done: "Rolled back: a new release has the corrections of the earlier one." },
 };
 
@@ -37,8 +37,8 @@ export class ChangeDetail {
 
   async readVotes(row, chart) {
     try {
-      const reply = await fetch(`votes/${row.surface_id}`), { days, reason } = await reply.json();
-      chart.replaceChildren(days?.length ? votesChart(days, row.in_map_m ?? row.offset_m) : element("p", {}, reason ? `No votes: ${reason}` : "No votes are kept."));
+      const reply = await fetch(`votes/${row.surface_id}`), { days, left_out, reason } = await reply.json();
+      chart.replaceChildren(days?.length ? votesChart(days, row.in_map_m ?? row.offset_m, left_out) : element("p", {}, reason ? `No votes: ${reason}` : left_out ? `Each day of votes (${left_out}) has only one or two vehicles: they are not shown.` : "No votes are kept."));
     } catch { chart.replaceChildren(element("p", {}, "No votes: camber live does not answer.")); }
   }
 

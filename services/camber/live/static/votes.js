@@ -15,7 +15,7 @@ const shape = (name, attributes, text) => {
 const date = time => new Date(time * 1000).toISOString().slice(0, 10);
 export const centimetres = value => `${value < 0 ? "−" : "+"}${(100 * Math.abs(value)).toFixed(1)} cm`;
 
-export function votesChart(days, inMap) {
+export function votesChart(days, inMap, left_out) {
   const values = days.flatMap(({ low_m, high_m }) => [low_m, high_m]).filter(Number.isFinite).concat(inMap);
   let low = Math.min(...values), high = Math.max(...values);
   const spare = Math.max(LEAST_RANGE_M - (high - low), .1 * (high - low)) / 2;
@@ -35,7 +35,7 @@ export function votesChart(days, inMap) {
     point.append(shape("title", {}, `${date(t)}: ${centimetres(offset_m)}, ${vehicles} vehicle${vehicles === 1 ? "" : "s"}`));
     drawing.append(shape("line", { class: "spread", x1: x(t), x2: x(t), y1: y(low_m), y2: y(high_m) }), point);
   }
-  return element("figure", {}, drawing, element("figcaption", {}, "Votes by day: median and quartiles; larger points are more vehicles. The line is the map's correction."));
+  return element("figure", {}, drawing, element("figcaption", {}, `Votes by day: median and quartiles; larger points are more vehicles${left_out ? `; ${left_out} with one or two vehicles are left out` : ""}. Biases of vehicles are not removed. The line is the map's correction.`));
 }
 
 const description = days => `Votes by day: ${days.map(({ t, offset_m, vehicles }) => `${date(t)} ${centimetres(offset_m ?? NaN)} of ${vehicles}`).join("; ")}`;

@@ -21,6 +21,8 @@ from camber.schemas.road import ReleaseRoot
 
 MOST_ROWS = 1000
 """Of a kind. Chosen: 64, 64, 52 and 29 bytes a row stay within a reply of 256 kB."""
+LEAST_VEHICLES = 3
+"""Of a day whose quartiles are sent. Chosen: the median of fewer is the vote of one, or gives it away."""
 UNIX_DAY_OF_GPS_EPOCH = 3657  # 6 January 1980
 _HELD_NUMBER = np.array([HELD_REASONS.index(r) if r in HELD_REASONS else 0 for r in REASONS], np.uint8)
 
@@ -60,20 +62,26 @@ def map_changes(
 
 
 def votes_by_day(votes: Votes, *, time_ns: int) -> MapVotes:
-    """The votes on one surface, those of each day together: a vehicle has one a day."""
+    """The votes on one surface, those of each day together: a vehicle has one a day.
+
+    Days of fewer than LEAST_VEHICLES are counted alone, because quartiles would be the votes of one.
+    """
     value_m = vote_values(votes)[0]
     day = votes["session"] + UNIX_DAY_OF_GPS_EPOCH
-    days = np.unique(day)
+    every, vehicles = np.unique(day, return_counts=True)
+    shown = vehicles >= LEAST_VEHICLES
+    days = every[shown]
     shares = np.array([np.quantile(value_m[day == each], (0.25, 0.5, 0.75)) for each in days.tolist()])
     low_m, offset_m, high_m = shares.reshape(-1, 3).T.astype(np.float32)
     return MapVotes(
         time_ns=time_ns,
         status="known",
         day=days.astype(np.int32),
-        vehicles=np.array([(day == each).sum() for each in days.tolist()], np.int32),
+        vehicles=vehicles[shown].astype(np.int32),
         offset_m=offset_m.copy(),
         low_m=low_m.copy(),
         high_m=high_m.copy(),
+        left_out=int((~shown).sum()),
     )
 
 

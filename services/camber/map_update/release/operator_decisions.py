@@ -2,7 +2,7 @@
 
 A decision is refused where it has no valid signature of an operator (if operators have keys), where it is minutes old
 or not newer than the last one, where its change is not held, where the votes give another height by now, and where the
-change was decided on before. What is recorded is on
+change was decided on before; but what was rejected can be accepted later. What is recorded is on
 the disk when `decide` returns. The fusion's next cycle applies what was accepted and rejected; going back makes a
 release at once.
 """
@@ -56,12 +56,13 @@ def decide(
         raise ReleaseError("decision", "surface", "each once")
     with review.locked():
         held = {change.surface_id: change for change in review.held()}
+        rejected = {change.surface_id: change for change in review.rejected()}
         newest = review.newest()
         for decision in decisions:
             if operators is not None:
                 operators.check(decision)
             _check_time(decision, now_ns)
-            _check_change(decision, held, newest)
+            _check_change(decision, held, rejected, newest)
         review.append([RecordLine(decision) for decision in decisions])
 
 
@@ -130,15 +131,26 @@ def _check_newer(decision: MapDecision, before_ns: int) -> None:
 
 
 def _check_change(
-    decision: MapDecision, held: dict[int, HeldChange], newest: dict[int, SurfaceOutcome]
+    decision: MapDecision,
+    held: dict[int, HeldChange],
+    rejected: dict[int, HeldChange],
+    newest: dict[int, SurfaceOutcome],
 ) -> None:
-    """Raise ReleaseError unless this change is held, has this height, and was not decided on."""
+    """Raise ReleaseError unless this change is held, has this height, and was not decided on.
+
+    A change that is listed as rejected can be accepted.
+    """
     surface_id, offset_m = decision.surface_id, decision.offset_m
     if surface_id is None or offset_m is None:
         raise ReleaseError("decision", "action", "accept or reject", actual=decision.action)
-    change, before = held.get(surface_id), newest.get(surface_id)
+    change, before = held.get(surface_id, rejected.get(surface_id)), newest.get(surface_id)
     error_m = 0.0 if change is None else change.standard_error_m
-    if before is not None and is_same_change(before.offset_m, offset_m, error_m):
+    again = surface_id in rejected and decision.action == "accept"
+    if (
+        before is not None
+        and is_same_change(before.offset_m, offset_m, error_m)
+        and not (again and before.action == "reject")
+    ):
         decided = f"decided already: {before.action} by {before.decision.who}"
         raise ReleaseError("decision", "surface", "one without a decision", actual=f"{surface_id}, {decided}")
     if before is not None:

@@ -4,6 +4,7 @@ Files beside the releases, in `review`, each with one kind of writer:
 
     held.json         the changes held now, with their numbers and places; rewritten by the fusion in each cycle
     pending.json      the same of changes that wait for more votes
+    rejected.json     the same of changes that would be held or published, had no operator rejected them
     decisions.jsonl   decisions with reviewer, time and reason; lines are only appended
     operators.json    the public keys of operators, if they have any, for tools; map_update trusts its settings only
 
@@ -46,6 +47,8 @@ _MOST_BYTES = 64 << 20  # chosen: over a hundred thousand decisions
 _MOST_KEYS_BYTES = 1 << 20  # chosen: ten thousand operators
 MOST_PENDING = 1000
 """Chosen: more than a person looks through; those nearest to publication are kept."""
+MOST_REJECTED = 10_000
+"""Chosen: files of some megabytes; a roll-back may withdraw more, which are listed as these are accepted again."""
 _NUMBERS = (
     "previous_correction_m", "offset_m", "standard_error_m", "agreement", "vehicles", "known_vehicles", "votes", "days",
 )  # fmt: skip
@@ -151,6 +154,7 @@ class ReviewFolder:
         self._verified: dict[bytes, bool] = {}
         self._held = releases / "review" / "held.json"
         self._pending = releases / "review" / "pending.json"
+        self._rejected = releases / "review" / "rejected.json"
         self._decisions = releases / "review" / "decisions.jsonl"
 
     def held(self) -> list[HeldChange]:
@@ -160,6 +164,10 @@ class ReviewFolder:
     def pending(self) -> list[HeldChange]:
         """Return the changes that wait for more votes, those of the most standard errors first."""
         return _read_changes(self._pending)
+
+    def rejected(self) -> list[HeldChange]:
+        """Return the changes that only an operator's decision keeps away, as far as there is room."""
+        return _read_changes(self._rejected)
 
     def lines(self) -> list[RecordLine]:
         """Return the whole record in order; an incomplete last line is ignored."""
@@ -210,9 +218,12 @@ class ReviewFolder:
         places of surfaces.
         """
         rows = decisions.surfaces.copy()
+        rejected = []
         for at, action in self._applicable(rows).items():
             row = rows[at]
             if action == "reject":
+                if row["decision"] != DECISIONS.index("nothing"):
+                    rejected.append(at)
                 row["decision"] = DECISIONS.index("nothing")
                 row["correction_m"], row["sigma_m"] = row["previous_correction_m"], np.nan
             elif action == "accept" and row["decision"] == DECISIONS.index("hold"):
@@ -223,6 +234,8 @@ class ReviewFolder:
         applied = replace(decisions, surfaces=rows)
         _write_changes(self._held, applied.of("hold"), now_ns, neighbourhood)
         _write_changes(self._pending, applied.pending()[:MOST_PENDING], now_ns, neighbourhood)
+        kept = decisions.surfaces[rejected[:MOST_REJECTED]]
+        _write_changes(self._rejected, kept, now_ns, neighbourhood)
         return applied
 
     def publish_operators(self) -> None:

@@ -47,6 +47,9 @@ def main(argv: Sequence[str]) -> int:
     for name, text in (("--accept", "publish these changes"), ("--reject", "do not publish these changes")):
         choice.add_argument(name, type=NUMBER, nargs="+", metavar="SURFACE", help=text)
     choice.add_argument("--log", action="store_true", help="show what was decided so far")
+    choice.add_argument(
+        "--rejected", action="store_true", help="list what --accept can still publish instead"
+    )
     choice.add_argument("--pending", action="store_true", help="list what waits for more votes instead")
     text = "list the nearest to this place first [°]"
     nearest = each_of(LATITUDE, LONGITUDE)
@@ -80,18 +83,19 @@ def _carry_out(args: argparse.Namespace) -> int | str:
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
-        return _listed(args, review.pending() if args.pending else review.held())
+        read = review.pending if args.pending else review.rejected if args.rejected else review.held
+        return _listed(args, read())
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
-    held = {each.surface_id: each for each in review.held()}
-    unknown = sorted(set(chosen) - held.keys())
+    listed = {each.surface_id: each for each in (*review.rejected(), *review.held())}
+    unknown = sorted(set(chosen) - listed.keys())
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     action: ReviewAction = "accept" if args.accept else "reject"
     reference = reference_in(args.releases).root.manifest_sha256
     decisions = [
         decision_of(
-            args, action, reference_sha256=reference, surface_id=number, offset_m=held[number].offset_m
+            args, action, reference_sha256=reference, surface_id=number, offset_m=listed[number].offset_m
         )
         for number in dict.fromkeys(chosen)
     ]
@@ -132,7 +136,7 @@ def _listed(args: argparse.Namespace, changes: Sequence[HeldChange]) -> str:
         check_output_file(args.geojson)
         write_file(args.geojson, _as_geojson(changes, names).encode())
     if not changes:
-        return "nothing is pending" if args.pending else "nothing is held"
+        return f"nothing is {'pending' if args.pending else 'rejected' if args.rejected else 'held'}"
     head = f"{'surface':>19}  {'latitude':>10}  {'longitude':>11}  {'road':<24}  {'map has':>9}  {'votes say':>9}"
     head = f"{head}  {'error':>7}  agree  vehicles  days  why"
     if args.near is None:

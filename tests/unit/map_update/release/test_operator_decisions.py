@@ -313,6 +313,40 @@ def test_a_decision_to_go_back_is_one_line(tmp_path: Path) -> None:
     assert review.size() < 5_000_000
 
 
+@pytest.mark.parametrize("automatic", ["hold", "publish"])
+def test_what_was_rejected_is_listed_and_can_be_accepted(
+    tmp_path: Path, operators: OperatorKeys, automatic: str
+) -> None:
+    decisions, review = held(tmp_path), ReviewFolder(tmp_path, operators)
+    decisions.surfaces["decision"] = DECISIONS.index(automatic)
+    decide(review, [decision(action="reject")], now_ns=MADE_NS, operators=operators)
+    later = decision(time_ns=LATER_NS)
+    with pytest.raises(ReleaseError, match="decided already"):  # until it is listed as rejected
+        decide(review, [later], now_ns=MADE_NS, operators=operators)
+    assert result(review, decisions) == "nothing"
+    assert [each.surface_id for each in review.rejected()] == [4]
+    assert review.held() == []
+    with pytest.raises(ReleaseError, match="decided already: reject by ann"):
+        decide(review, [decision(action="reject", time_ns=LATER_NS)], now_ns=MADE_NS, operators=operators)
+    decide(review, [later], now_ns=MADE_NS, operators=operators)
+    with pytest.raises(ReleaseError, match="decided already: accept by ann"):
+        decide(review, [decision(time_ns=LATER_NS + 1)], now_ns=MADE_NS, operators=operators)
+    assert result(review, decisions) == "publish"
+    assert review.rejected() == []
+
+
+def test_what_a_roll_back_withdrew_can_be_accepted_again(tmp_path: Path, operators: OperatorKeys) -> None:
+    builder = three_releases(tmp_path)
+    review = ReviewFolder(builder.folder, operators)
+    roll_back(review, BACK, builder, time_ns=MADE_NS, operators=operators)
+    rows = np.zeros(1, DECISION)
+    rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
+    assert result(review, Decisions(surfaces=rows)) == "nothing"
+    accepted = decision(surface_id=5, offset_m=-0.04, time_ns=LATER_NS)
+    decide(review, [accepted], now_ns=MADE_NS, operators=operators)
+    assert result(review, Decisions(surfaces=rows)) == "publish"
+
+
 def test_a_folder_without_keys_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ReleaseError, match=r"NAME\.pub"):
         load_operator_keys(tmp_path)
