@@ -31,7 +31,7 @@ KINDS = {
     "drive": Command(
         "camber.tools.maps.importers.survey_drive", "confirmed positions of a replay or a truth.csv"
     ),
-    "geojson": Command("camber.tools.maps.geojson", "GeoJSON as `camber map export` writes it"),
+    "geojson": Command("camber.tools.maps.geojson_map", "GeoJSON as `camber map export` writes it"),
     "geotiff": Command("camber.tools.maps.importers.rasters", "heights of a raster along given roads"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
