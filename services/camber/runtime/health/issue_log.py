@@ -15,8 +15,9 @@ from camber.schemas.health import ChannelUse, Issue
 
 Direction = Literal["in", "out", "asked"]
 
-# What health can carry; a service that met more must still be able to say how it is.
-MAX_ISSUES, MAX_COUNTERS, MAX_TEXT = 64, 192, 512
+# What health can carry; a service that met more must still be able to say how it is. Of 256 counters the rest is for
+# those of its inboxes, two for each channel.
+MAX_ISSUES, MAX_COUNTERS, MAX_TEXT = 64, 144, 512
 _ALL_TEXTS_BYTES = 20_000  # chosen: below the codec's header limit of 64 kB
 _OTHERS = "others"
 _NO_NAME = re.compile(r"[^A-Za-z0-9_.:@+-]")
